@@ -1,7 +1,5 @@
 #include "zygos/accumulator.h"
 
-#include "zygos/gram.h"
-
 #include <string.h>
 
 /* Initial number of segments of the longest arc: many, but none shorter than a second unless the arc would have only a
@@ -11,10 +9,15 @@
 #define FEWEST 4u
 #define MOST 1024u /* largest initial length of a segment in instants */
 #define MIN_BUFFERS 3u
-#define MERGED_BLOCKS (3u * ZYGOS_MAX_BLOCKS / 4u) /* largest number of blocks after merging */
+#define ONE_PASS_MORE 2u /* parts of a task that only adds, in one cycle */
+#define CLEARED_AT_ONCE 4u
+/* The newest blocks of the open arc that may still be added to: two of the open segment, and one of the segment before,
+   whose last rows may wait in a buffer. */
+#define IN_USE 3u
 
-_Static_assert((ZYGOS_MIN_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS) && (MERGED_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS),
-               "an arc that begins needs two blocks");
+_Static_assert(ZYGOS_MIN_BLOCKS + 2u + ZYGOS_SPARE_BLOCKS <= ZYGOS_MAX_BLOCKS,
+               "an arc that begins needs two blocks while another one is closing");
+_Static_assert(ZYGOS_MAX_BLOCKS <= 128, "places are numbers of eight bits");
 
 /* What rounding may make of a sum of so many weights, relative to it. A flipped bit that changes less does no harm. */
 static double rounded(double instants)
@@ -23,7 +26,9 @@ static double rounded(double instants)
 }
 
 /* What the checksum protects. */
-#define WORDS 8u
+#define MEMBERS 11u
+#define ORDER_WORDS (ZYGOS_ORDER_PLACES / 8u)
+#define WORDS (MEMBERS + ORDER_WORDS + ZYGOS_MAX_BLOCKS)
 
 static void gather(const zygos_accumulator_t *self, uint64_t *word)
 {
@@ -32,9 +37,14 @@ static void gather(const zygos_accumulator_t *self, uint64_t *word)
     word[2] = self->width;
     word[3] = self->count;
     word[4] = self->open;
-    word[5] = self->newest;
-    word[6] = self->window;
-    word[7] = self->arcs;
+    word[5] = self->fresh;
+    word[6] = self->newest;
+    word[7] = self->window;
+    word[8] = self->ready;
+    word[9] = self->arcs;
+    memcpy(&word[10], &self->noise_fade, sizeof word[10]);
+    memcpy(&word[MEMBERS], self->order, sizeof self->order);
+    memcpy(&word[MEMBERS + ORDER_WORDS], self->fade, sizeof self->fade);
 }
 
 static uint64_t checksum_of(const zygos_accumulator_t *self)
@@ -67,11 +77,45 @@ static bool repair(zygos_accumulator_t *self)
     self->width = (uint32_t)word[2];
     self->count = (uint32_t)word[3];
     self->open = (uint32_t)word[4];
-    self->newest = (uint32_t)word[5];
-    self->window = (uint32_t)word[6];
-    self->arcs = (uint32_t)word[7];
+    self->fresh = (uint32_t)word[5];
+    self->newest = (uint32_t)word[6];
+    self->window = (uint32_t)word[7];
+    self->ready = (uint32_t)word[8];
+    self->arcs = (uint32_t)word[9];
+    memcpy(&self->noise_fade, &word[10], sizeof word[10]);
+    memcpy(self->order, &word[MEMBERS], sizeof self->order);
+    memcpy(self->fade, &word[MEMBERS + ORDER_WORDS], sizeof self->fade);
     reseal(self);
     return true;
+}
+
+/* Whether the members that tell which blocks there are lead nowhere else. */
+static bool are_places_possible(const zygos_accumulator_t *self)
+{
+    bool good = (self->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (self->fresh <= self->count) &&
+                (self->open <= self->fresh) && (self->count != self->fresh + 1u) &&
+                (self->fresh != self->open + 1u) && (self->window <= self->open) && (self->newest <= self->window) &&
+                (self->ready <= (uint32_t)ZYGOS_MAX_BLOCKS - self->count);
+    for (uint32_t r = 0; r < (uint32_t)ZYGOS_MAX_BLOCKS; r++) {
+        good = good && (self->order[r] < (uint32_t)ZYGOS_MAX_BLOCKS);
+    }
+    return good;
+}
+
+/* No block is in use. What they contain is not known: none is ready. */
+static void forget_places(zygos_accumulator_t *self)
+{
+    self->count = 0;
+    self->open = 0;
+    self->fresh = 0;
+    self->newest = 0;
+    self->window = 0;
+    self->ready = 0;
+    self->task = ZYGOS_TASK_NONE;
+    self->closing_instants = 0;
+    for (uint32_t r = 0; r < (uint32_t)ZYGOS_MAX_BLOCKS; r++) {
+        self->order[r] = (uint8_t)r;
+    }
 }
 
 /* Verifies the checksum, before anything that it protects is changed. What cannot be repaired must not lead outside. */
@@ -81,9 +125,47 @@ static void judge(zygos_accumulator_t *self)
         return;
     }
     self->corrupt = 1;
-    self->newest = (self->newest <= self->open) ? self->newest : 0u;
-    self->window = (self->window <= self->open) ? self->window : self->open;
-    self->newest = (self->newest <= self->window) ? self->newest : self->window;
+    if (!are_places_possible(self)) {
+        forget_places(self);
+    }
+}
+
+/* The block at a place, which was verified: by the checksum or by the twin. */
+static zygos_block_t *at(zygos_accumulator_t *self, uint32_t place)
+{
+    return &self->block[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
+}
+
+static uint32_t first_of(uint32_t places)
+{
+    return places & 255u;
+}
+
+static uint32_t second_of(uint32_t places)
+{
+    return places >> 8u;
+}
+
+zygos_block_t *zygos_accumulator_block(zygos_accumulator_t *self, uint32_t rank)
+{
+    return at(self, self->order[rank]);
+}
+
+const zygos_block_t *zygos_accumulator_at(const zygos_accumulator_t *self, uint32_t rank)
+{
+    const uint32_t place = self->order[rank];
+    return &self->block[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
+}
+
+static double fade_of(const zygos_accumulator_t *self, uint32_t rank)
+{
+    const uint32_t place = self->order[rank];
+    return self->fade[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
+}
+
+double zygos_accumulator_instants(const zygos_accumulator_t *self, uint32_t rank)
+{
+    return fade_of(self, rank) * zygos_accumulator_at(self, rank)->instants;
 }
 
 static uint64_t checksum_of_block(const zygos_block_t *block, uint32_t width)
@@ -113,171 +195,469 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     const uint64_t least = (slow < most) ? slow : most;
     const uint64_t many = (arc_cycles / SEGMENTS < MOST) ? arc_cycles / SEGMENTS : MOST;
     const uint64_t steps = ((many > least) ? many : least) / ZYGOS_BUFFER_ROWS;
+    const uint32_t noisy = self->noisy;
     memset(self, 0, sizeof *self);
+    self->noisy = noisy;
     self->width = parameters + 2u;
     self->target = (double)(ZYGOS_BUFFER_ROWS * ((steps > MIN_BUFFERS) ? steps : MIN_BUFFERS));
     self->enough = 0.5 * (double)arc_cycles;
+    self->ready = ZYGOS_MAX_BLOCKS;
+    self->noise_fade = 1.0;
+    for (uint32_t r = 0; r < (uint32_t)ZYGOS_MAX_BLOCKS; r++) {
+        self->order[r] = (uint8_t)r;
+        self->fade[r] = 1.0;
+    }
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        self->buffer[b].shared = ZYGOS_BUFFER_ROWS;
+    }
     reseal(self);
 }
 
-static void add_share(zygos_noise_sums_t *to, const zygos_noise_sums_t *from, double factor, uint32_t width)
+static void clear_noise(zygos_noise_sums_t *noise, uint32_t width)
 {
-    const uint32_t size = zygos_gram_entries(width);
-    for (uint32_t k = 0; k < size; k++) {
-        to->gram[k] += factor * from->gram[k];
-    }
-    for (uint32_t i = 0; i < width; i++) {
-        to->sum[i] += factor * from->sum[i];
-    }
+    memset(noise->gram, 0, zygos_gram_entries(width) * sizeof noise->gram[0]);
+    memset(noise->sum, 0, width * sizeof noise->sum[0]);
 }
 
-static void clear_share(zygos_noise_sums_t *share, uint32_t width)
+static void clear_buffer(zygos_accumulator_t *self, zygos_row_buffer_t *buffer)
 {
-    memset(share->gram, 0, zygos_gram_entries(width) * sizeof share->gram[0]);
-    memset(share->sum, 0, width * sizeof share->sum[0]);
+    memset(buffer->gram, 0, zygos_gram_entries(self->width) * sizeof buffer->gram[0]);
+    memset(buffer->sum, 0, self->width * sizeof buffer->sum[0]);
+    clear_noise(&buffer->noise, self->width);
+    buffer->instants = 0.0;
+    buffer->shared = ZYGOS_BUFFER_ROWS;
 }
 
-static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t width)
-{
-    const bool closed = (to->checksum != 0);
-    const bool whole = closed && is_whole(to, width) && is_whole(from, width);
-    const uint32_t size = zygos_gram_entries(width);
-    for (uint32_t k = 0; k < size; k++) {
-        to->gram[k] += from->gram[k];
-    }
-    for (uint32_t i = 0; i < width; i++) {
-        to->sum[i] += from->sum[i];
-        to->deviation[i] += from->deviation[i];
-    }
-    to->instants += from->instants;
-    to->square += from->square + 2.0 * to->overlap;
-    to->overlap = from->overlap;
-    to->end = from->end;
-    if (closed) {
-        seal(to, width, whole);
-    }
-}
+/* ---------------------------------------------------------------- which blocks there are */
 
-/* Merges neighbours in [first, end) that fit into one block, as long as blocks are to spare, and puts the results at
-   to, to + 1, ... Returns the place behind them. */
-static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, uint32_t to, uint32_t *spare)
+/* Takes the blocks of the ranks from first to before end out of the order; they are free, and have to be cleared. */
+static void free_ranks(zygos_accumulator_t *self, uint32_t first, uint32_t end)
 {
-    const uint32_t begin = to;
-    const double most = self->target;
-    for (uint32_t from = first; from < end; from++) {
-        if ((to > begin) && (*spare > 0) && (self->block[to - 1u].instants + self->block[from].instants <= most)) {
-            (*spare)--;
-            add_block(&self->block[to - 1u], &self->block[from], self->width);
-            continue;
+    for (uint32_t n = first; n < end; n++) {
+        const uint8_t place = self->order[first];
+        for (uint32_t r = first; r + 1u < self->count; r++) {
+            self->order[r] = self->order[r + 1u];
         }
-        if (to != from) {
-            self->block[to] = self->block[from];
-        }
-        to++;
+        self->order[self->count - 1u] = place;
+        self->count--;
     }
-    return to;
 }
 
-/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them; nor do those of the
-   newest closed arc with older ones, from which it may differ; nor does the newest block, whose weight has yet to
-   decrease.
-   The target doubles only when merging up to it is not enough; once it holds all instants there are, each group is one
-   block: the loop ends. */
-static void free_blocks(zygos_accumulator_t *self)
+/* The rank of a place among those from first to before end, or end. */
+static uint32_t rank_of(const zygos_accumulator_t *self, uint32_t place, uint32_t first, uint32_t end)
 {
-    for (uint32_t tries = 0; tries < 64u; tries++) {
-        const uint32_t fading = (self->count > self->open) ? 1u : 0u;
-        uint32_t spare = (self->count > ZYGOS_MIN_BLOCKS) ? self->count - ZYGOS_MIN_BLOCKS : 0u;
-        const uint32_t newest = merge(self, 0, self->newest, 0, &spare);
-        const uint32_t window = merge(self, self->newest, self->window, newest, &spare);
-        const uint32_t open = merge(self, self->window, self->open, window, &spare);
-        const uint32_t rest = merge(self, self->open, self->count - fading, open, &spare);
-        if ((fading != 0) && (rest != self->count - 1u)) {
-            self->block[rest] = self->block[self->count - 1u];
-        }
-        self->newest = newest;
-        self->window = window;
-        self->open = open;
-        self->count = rest + fading;
-        if (self->count <= ((MERGED_BLOCKS > ZYGOS_MIN_BLOCKS) ? MERGED_BLOCKS : ZYGOS_MIN_BLOCKS)) {
-            return;
-        }
-        self->target *= 2.0;
+    uint32_t r = first;
+    while ((r < end) && (self->order[r] != place)) {
+        r++;
     }
+    return r;
 }
 
+/* A free block that is cleared becomes the newest. */
 static void append_block(zygos_accumulator_t *self)
 {
-    zygos_block_t *block = &self->block[self->count];
-    memset(block->gram, 0, zygos_gram_entries(self->width) * sizeof block->gram[0]);
-    memset(block->sum, 0, self->width * sizeof block->sum[0]);
-    memset(block->deviation, 0, self->width * sizeof block->deviation[0]);
+    const uint32_t from = (uint32_t)ZYGOS_MAX_BLOCKS - self->ready;
+    const uint8_t place = self->order[from];
+    self->order[from] = self->order[self->count];
+    self->order[self->count] = place;
+    self->fade[(place < ZYGOS_MAX_BLOCKS) ? place : 0u] = 1.0;
+    self->count++;
+    self->ready--;
+}
+
+/* ---------------------------------------------------------------- tasks */
+
+/* How many entries a part of a task has. */
+static uint32_t entries_of_part(const zygos_accumulator_t *self)
+{
+    const uint32_t size = zygos_gram_entries(self->width);
+    const uint32_t part = (size + ZYGOS_PASS_CYCLES - 1u) / ZYGOS_PASS_CYCLES;
+    return (part > ZYGOS_LEAST_PART) ? part : ZYGOS_LEAST_PART;
+}
+
+uint32_t zygos_accumulator_part(const zygos_accumulator_t *self, uint32_t times)
+{
+    const uint32_t most = times * entries_of_part(self);
+    uint32_t end = self->row;
+    for (uint32_t n = 0; (end < self->width) && (n < most); end++) {
+        n += end + 1u;
+    }
+    return end;
+}
+
+static void begin_task(zygos_accumulator_t *self, uint32_t task, uint32_t places)
+{
+    self->task = task;
+    self->places = places;
+    self->row = 0;
+    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
+}
+
+/* Whether the rows from first to before end of the task are all of its rows; then it has ended. */
+static bool task_ends(zygos_accumulator_t *self, uint32_t end)
+{
+    self->row = end;
+    return end >= self->width;
+}
+
+/* All but the sums of products. */
+static void clear_rest(zygos_block_t *block, uint32_t width)
+{
+    memset(block->sum, 0, width * sizeof block->sum[0]);
+    memset(block->deviation, 0, width * sizeof block->deviation[0]);
     block->instants = 0.0;
     block->square = 0.0;
     block->overlap = 0.0;
     block->end = 0;
     block->checksum = 0;
-    self->count++;
 }
 
-/* Moves the noise of a segment to that of its arc, and takes it off the two blocks that share the segment; two entries
-   at a time, the last of which may lie beyond, where all is 0. */
-static void take_off(double *restrict noise, double *restrict open, double *restrict falling, double *restrict rising,
-                     double late, uint32_t count)
+static void clear_block(zygos_block_t *block, uint32_t width)
 {
-    const double early = 1.0 - late;
-    for (const double *end = noise + count; noise < end; noise += 2) {
-        falling[0] -= early * noise[0];
-        falling[1] -= early * noise[1];
-        rising[0] -= late * noise[0];
-        rising[1] -= late * noise[1];
-        open[0] += noise[0];
-        open[1] += noise[1];
-        noise[0] = 0.0;
-        noise[1] = 0.0;
-        falling += 2;
-        rising += 2;
-        open += 2;
-    }
+    memset(block->gram, 0, zygos_gram_entries(width) * sizeof block->gram[0]);
+    clear_rest(block, width);
 }
 
-/* Takes the noise of the open segment off its two blocks, as they share its instants. */
-static void end_segment(zygos_accumulator_t *self)
+static void proceed_clear(zygos_accumulator_t *self)
 {
-    if (!(self->segment > 0.0)) {
+    const uint32_t end = zygos_accumulator_part(self, CLEARED_AT_ONCE);
+    const uint32_t first = zygos_gram_entries(self->row);
+    zygos_block_t *block = at(self, first_of(self->places));
+    memset(&block->gram[first], 0, (zygos_gram_entries(end) - first) * sizeof block->gram[0]);
+    if (!task_ends(self, end)) {
         return;
     }
-    const uint32_t width = self->width - 1u;
-    zygos_block_t *falling = &self->block[self->count - 2u];
-    zygos_block_t *rising = &self->block[self->count - 1u];
-    const double late = rising->instants / self->segment;
-    take_off(self->noise.gram, self->noise_open.gram, falling->gram, rising->gram, late, zygos_gram_entries(width));
-    take_off(self->noise.sum, self->noise_open.sum, falling->sum, rising->sum, late, width);
-    self->segment = 0.0;
-}
-
-static void next_segment(zygos_accumulator_t *self)
-{
+    clear_rest(block, self->width);
     judge(self);
-    bool first = (self->count == self->open);
-    end_segment(self);
-    if (self->count + 2u > ZYGOS_MAX_BLOCKS) {
-        free_blocks(self);
+    const uint32_t last = (uint32_t)ZYGOS_MAX_BLOCKS - self->ready;
+    const uint32_t rank = rank_of(self, first_of(self->places), self->count, last);
+    if (rank < last) {
+        self->order[rank] = self->order[last - 1u];
+        self->order[last - 1u] = (uint8_t)first_of(self->places);
+        self->ready++;
     }
-    if (self->count + 2u > ZYGOS_MAX_BLOCKS) { /* a changed target or number of instants */
-        self->corrupt = 1;
-        self->count = 0;
-        self->open = 0;
-        self->newest = 0;
-        self->window = 0;
-        first = true;
-    }
-    append_block(self);
-    if (first) {
-        append_block(self);
-    }
+    self->task = ZYGOS_TASK_NONE;
     reseal(self);
 }
+
+static void proceed_merge(zygos_accumulator_t *self)
+{
+    const uint32_t end = zygos_accumulator_part(self, ONE_PASS_MORE);
+    zygos_block_t *to = at(self, first_of(self->places));
+    const zygos_block_t *from = at(self, second_of(self->places));
+    double *own = &self->fade[to - self->block];
+    const double other = self->fade[from - self->block];
+    for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
+        to->gram[k] = *own * to->gram[k] + other * from->gram[k];
+    }
+    if (!task_ends(self, end)) {
+        return;
+    }
+    judge(self);
+    const bool closed = (to->checksum != 0);
+    const bool whole = closed && is_whole(to, self->width) && is_whole(from, self->width);
+    for (uint32_t i = 0; i < self->width; i++) {
+        to->sum[i] = *own * to->sum[i] + other * from->sum[i];
+        to->deviation[i] = *own * to->deviation[i] + other * from->deviation[i];
+    }
+    to->square = *own * (to->square + 2.0 * to->overlap) + other * from->square;
+    to->instants = *own * to->instants + other * from->instants;
+    to->overlap = other * from->overlap;
+    to->end = from->end;
+    *own = 1.0;
+    if (closed) {
+        seal(to, self->width, whole);
+    }
+    const uint32_t rank = rank_of(self, second_of(self->places), 0, self->count);
+    if (rank < self->count) {
+        free_ranks(self, rank, rank + 1u);
+        self->newest -= (rank < self->newest) ? 1u : 0u;
+        self->window -= (rank < self->window) ? 1u : 0u;
+        self->open -= (rank < self->open) ? 1u : 0u;
+        self->fresh -= (rank < self->fresh) ? 1u : 0u;
+        self->rank -= (rank < self->rank) ? 1u : 0u;
+    }
+    self->task = ZYGOS_TASK_NONE;
+    reseal(self);
+}
+
+/* The first pair of neighbours that fits into one block, by the rank of its first, or count. Blocks of closed arcs
+   never merge with those of the closing or the open one, whose constant is still in them; nor do those of the newest
+   closed arc with older ones, from which it may differ; nor do blocks that may still be added to. The target doubles
+   when none fits. */
+static uint32_t pair_to_merge(zygos_accumulator_t *self)
+{
+    const uint32_t used = (self->count < self->fresh + IN_USE) ? self->fresh : self->count - IN_USE;
+    const uint32_t region[5] = { 0, self->newest, self->window, self->open, self->fresh };
+    const uint32_t end[5] = { self->newest, self->window, self->open, self->open, used };
+    double least = 2.0 * ZYGOS_MAX_INSTANTS;
+    for (uint32_t g = 0; g < 5u; g++) {
+        for (uint32_t r = region[g]; r + 1u < end[g]; r++) {
+            const double both = zygos_accumulator_instants(self, r) + zygos_accumulator_instants(self, r + 1u);
+            least = (both < least) ? both : least;
+        }
+    }
+    if (!(least <= ZYGOS_MAX_INSTANTS) || (self->count <= ZYGOS_MIN_BLOCKS)) {
+        return self->count;
+    }
+    for (uint32_t tries = 0; (self->target < least) && (tries < 64u); tries++) {
+        self->target *= 2.0;
+    }
+    for (uint32_t g = 0; g < 5u; g++) {
+        for (uint32_t r = region[g]; r + 1u < end[g]; r++) {
+            if (zygos_accumulator_instants(self, r) + zygos_accumulator_instants(self, r + 1u) <= self->target) {
+                return r;
+            }
+        }
+    }
+    return self->count;
+}
+
+/* Whether all rows of the closing arc are in its blocks. */
+static bool is_shared_out(const zygos_accumulator_t *self)
+{
+    bool all = true;
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        all = all && ((self->buffer[b].parity == self->parity) || (self->buffer[b].shared >= ZYGOS_BUFFER_ROWS));
+    }
+    return all;
+}
+
+static void take_means(zygos_accumulator_t *self)
+{
+    const uint32_t last = zygos_gram_entries(self->width - 1u);
+    memset(self->mean, 0, sizeof self->mean);
+    for (uint32_t r = self->open; r < self->fresh; r++) {
+        const double *s = &zygos_accumulator_at(self, r)->gram[last];
+        for (uint32_t i = 0; i < self->width; i++) {
+            self->mean[i] += s[i];
+        }
+    }
+    for (uint32_t i = 0; i < self->width; i++) {
+        self->mean[i] /= (double)self->closing_instants;
+    }
+    /* The last column counts instants as well. */
+    const double counted = self->mean[self->width - 1u];
+    const double few = rounded((double)self->closing_instants);
+    const zygos_noise_sums_t *noise = &self->noise_open[self->parity ^ 1u];
+    self->whole = ((counted > 1.0 - few) && (counted < 1.0 + few) &&
+                   (!self->noisy || (zygos_gram_check(noise->gram, self->width - 1u, noise->sum,
+                                                      (double)self->closing_instants) <= 1.0)))
+                      ? 1u
+                      : 0u;
+    self->overlap = 0.0;
+}
+
+/* The next part of the closing arc, of which nothing is left when it does not match. */
+static void begin_closing_task(zygos_accumulator_t *self)
+{
+    if (self->rank == self->open) {
+        take_means(self);
+    }
+    if (self->whole == 0) {
+        self->admitted = 0;
+        self->quarantined++;
+        self->arcs_dropped++;
+        begin_task(self, ZYGOS_TASK_ADMIT, 0);
+    } else if (self->rank < self->fresh) {
+        memset(&self->scan, 0, sizeof self->scan);
+        begin_task(self, ZYGOS_TASK_VERIFY, self->order[self->rank]);
+    } else {
+        begin_task(self, ZYGOS_TASK_JUDGE, 0);
+    }
+}
+
+static void begin_next_task(zygos_accumulator_t *self)
+{
+    const uint32_t unused = (uint32_t)ZYGOS_MAX_BLOCKS - self->count;
+    const bool closing = (self->fresh > self->open) && is_shared_out(self);
+    const bool lacking = (unused < ZYGOS_SPARE_BLOCKS);
+    const bool dirty = (unused > self->ready);
+    if (!closing && !lacking && !dirty) {
+        return;
+    }
+    judge(self);
+    if (dirty && ((self->ready < ZYGOS_SPARE_BLOCKS) || !(closing || lacking))) {
+        begin_task(self, ZYGOS_TASK_CLEAR, self->order[(uint32_t)ZYGOS_MAX_BLOCKS - self->ready - 1u]);
+        return;
+    }
+    if (lacking) {
+        const uint32_t rank = pair_to_merge(self);
+        self->checksum = checksum_of(self); /* with the target */
+        if (rank < self->count) {
+            begin_task(self, ZYGOS_TASK_MERGE, ZYGOS_PLACES((uint32_t)self->order[rank], self->order[rank + 1u]));
+            return;
+        }
+    }
+    if (closing) {
+        begin_closing_task(self);
+    }
+}
+
+/* Whether a block of the open arc has as many instants as its sums count, and of these the weights that its segments
+   gave it: those of an instant add up to 1, so w = w^2 + what w shares with the block before and the one behind. */
+static bool weighs_what_it_should(const zygos_block_t *block, uint32_t width, double before)
+{
+    const double off = block->gram[zygos_gram_entries(width) - 1u] - block->instants;
+    const double shared = block->instants - block->square - block->overlap - before;
+    const double few = rounded(block->instants) * (1.0 + block->instants);
+    return (block->checksum == 0) && (off >= -few) && (off <= few) && (shared >= -few) && (shared <= few);
+}
+
+static void proceed_verify(zygos_accumulator_t *self)
+{
+    const uint32_t end = zygos_accumulator_part(self, 1u);
+    zygos_block_t *block = at(self, first_of(self->places));
+    zygos_gram_scan(&self->scan, block->gram, self->row, end);
+    if (!task_ends(self, end)) {
+        return;
+    }
+    const bool whole =
+        weighs_what_it_should(block, self->width, self->overlap) &&
+        (zygos_gram_scanned(&self->scan, block->gram, self->width, block->sum, block->instants) <= 1.0);
+    self->whole &= whole ? 1u : 0u;
+    self->overlap = block->overlap;
+    const double *s = &block->gram[zygos_gram_entries(self->width - 1u)];
+    const double n = s[self->width - 1u];
+    for (uint32_t i = 0; i < self->width; i++) {
+        block->deviation[i] = s[i] - n * self->mean[i];
+        block->sum[i] = 0.0;
+    }
+    begin_task(self, ZYGOS_TASK_CENTRE, self->places);
+}
+
+/* G - s m^T - m s^T + n m m^T, entry by entry, and its row sums; s is the last row of G, which changes last and each
+   entry by itself. */
+static void proceed_centre(zygos_accumulator_t *self)
+{
+    const uint32_t end = zygos_accumulator_part(self, 1u);
+    zygos_block_t *block = at(self, first_of(self->places));
+    const double *mean = self->mean;
+    const double *s = &block->gram[zygos_gram_entries(self->width - 1u)];
+    const double n = s[self->width - 1u];
+    double *entry = &block->gram[zygos_gram_entries(self->row)];
+    for (uint32_t i = self->row; i < end; i++) {
+        const double si = s[i];
+        double row = 0.0;
+        for (uint32_t j = 0; j <= i; j++) {
+            *entry += n * mean[i] * mean[j] - si * mean[j] - mean[i] * s[j];
+            row += *entry;
+            block->sum[j] += (j < i) ? *entry : 0.0;
+            entry++;
+        }
+        block->sum[i] += row;
+    }
+    if (task_ends(self, end)) {
+        block->end = self->closing_end;
+        seal(block, self->width, true);
+        begin_task(self, ZYGOS_TASK_JUDGE, self->places);
+    }
+}
+
+void zygos_accumulator_judged_block(zygos_accumulator_t *self)
+{
+    self->rank++;
+    begin_task(self, ZYGOS_TASK_NONE, 0);
+}
+
+void zygos_accumulator_judged_arc(zygos_accumulator_t *self, bool admitted)
+{
+    self->admitted = admitted ? 1u : 0u;
+    begin_task(self, ZYGOS_TASK_ADMIT, 0);
+}
+
+static void admit(zygos_accumulator_t *self)
+{
+    if ((double)self->closing_instants >= self->enough) {
+        self->window = self->open; /* it speaks without the short ones before it */
+    }
+    self->open = self->fresh;
+    double instants = 0.0;
+    for (uint32_t r = self->window; r < self->open; r++) {
+        instants += zygos_accumulator_instants(self, r);
+    }
+    if (instants >= self->enough) {
+        self->newest = self->window;
+        self->window = self->open;
+    }
+    self->arcs++;
+}
+
+static void leave_out(zygos_accumulator_t *self)
+{
+    self->accepted -= self->closing_instants;
+    free_ranks(self, self->open, self->fresh);
+    self->fresh = self->open;
+}
+
+static void proceed_admit(zygos_accumulator_t *self)
+{
+    const uint32_t end = zygos_accumulator_part(self, ONE_PASS_MORE);
+    zygos_noise_sums_t *open = &self->noise_open[self->parity ^ 1u];
+    const double factor = (double)self->admitted / self->noise_fade;
+    for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
+        self->noise_closed.gram[k] += factor * open->gram[k];
+        open->gram[k] = 0.0;
+    }
+    if (!task_ends(self, (self->noisy != 0) ? end : self->width)) {
+        return;
+    }
+    for (uint32_t i = 0; i < self->width; i++) {
+        self->noise_closed.sum[i] += factor * open->sum[i];
+        open->sum[i] = 0.0;
+    }
+    judge(self);
+    if (self->admitted != 0) {
+        admit(self);
+    } else {
+        leave_out(self);
+    }
+    self->closing_instants = 0;
+    self->task = ZYGOS_TASK_NONE;
+    reseal(self);
+}
+
+void zygos_accumulator_proceed(zygos_accumulator_t *self)
+{
+    switch (self->task) {
+    case ZYGOS_TASK_CLEAR:
+        proceed_clear(self);
+        break;
+    case ZYGOS_TASK_MERGE:
+        proceed_merge(self);
+        break;
+    case ZYGOS_TASK_VERIFY:
+        proceed_verify(self);
+        break;
+    case ZYGOS_TASK_CENTRE:
+        proceed_centre(self);
+        break;
+    case ZYGOS_TASK_ADMIT:
+        proceed_admit(self);
+        break;
+    case ZYGOS_TASK_JUDGE:
+        break;
+    default:
+        begin_next_task(self);
+        break;
+    }
+}
+
+/* Finishes a task that concerns free or closed blocks only. */
+static void finish_upkeep(zygos_accumulator_t *self)
+{
+    const uint32_t task = self->task;
+    while ((self->task == task) && ((task == ZYGOS_TASK_CLEAR) || (task == ZYGOS_TASK_MERGE))) {
+        zygos_accumulator_proceed(self);
+    }
+}
+
+bool zygos_accumulator_closing(const zygos_accumulator_t *self)
+{
+    return self->fresh > self->open;
+}
+
+/* ---------------------------------------------------------------- rows */
 
 /* Of so many entries, those of a slice: an even number. The last slice reaches beyond the entries, where all is 0. */
 static uint32_t slice_of(uint32_t entries)
@@ -301,58 +681,134 @@ static void move(double *restrict buffer, double *restrict falling, double *rest
     }
 }
 
-/* Adds the next slices of the older buffer to the blocks. */
-static void add_slices(zygos_accumulator_t *self, uint32_t slices)
+/* The same less the noise, which moves to that of the arc. */
+static void move_with_noise(double *restrict buffer, double *restrict noise, double *restrict open,
+                            double *restrict falling, double *restrict rising, double early, double late,
+                            uint32_t count)
 {
-    zygos_row_buffer_t *buffer = &self->buffer[1u - self->filling];
-    zygos_block_t *falling = &self->block[self->count - 2u];
-    zygos_block_t *rising = &self->block[self->count - 1u];
-    const uint32_t entries = slice_of(zygos_gram_entries(self->width));
-    const uint32_t sums = slice_of(self->width);
-    const uint32_t entry = self->shared * entries;
-    const uint32_t row = self->shared * sums;
-    move(&buffer->gram[entry], &falling->gram[entry], &rising->gram[entry], self->early, self->late, slices * entries);
-    move(&buffer->sum[row], &falling->sum[row], &rising->sum[row], self->early, self->late, slices * sums);
-    self->shared += slices;
+    for (uint32_t k = 0; k < count; k++) {
+        const double signal = buffer[k] - noise[k];
+        falling[k] += early * signal;
+        rising[k] += late * signal;
+        open[k] += noise[k];
+        buffer[k] = 0.0;
+        noise[k] = 0.0;
+    }
 }
 
-/* When the buffer is full (1, else 0), its slices are added from here on; the other one is empty, and is filled.
-   Factors are used instead of a branch, so that all cycles cost the same. */
-static void next_buffer(zygos_accumulator_t *self, uint32_t full)
+/* Adds the next slices of a buffer to its blocks. */
+static void add_slices(zygos_accumulator_t *self, zygos_row_buffer_t *buffer, uint32_t slices)
 {
-    if (full * self->segment >= self->target) {
-        next_segment(self);
+    const uint32_t entries = slice_of(zygos_gram_entries(self->width));
+    const uint32_t sums = slice_of(self->width);
+    const uint32_t entry = buffer->shared * entries;
+    const uint32_t row = buffer->shared * sums;
+    zygos_block_t *falling = at(self, first_of(buffer->places));
+    zygos_block_t *rising = at(self, second_of(buffer->places));
+    if (self->noisy != 0) {
+        zygos_noise_sums_t *open = &self->noise_open[buffer->parity];
+        move_with_noise(&buffer->gram[entry], &buffer->noise.gram[entry], &open->gram[entry], &falling->gram[entry],
+                        &rising->gram[entry], buffer->early, buffer->late, slices * entries);
+        move_with_noise(&buffer->sum[row], &buffer->noise.sum[row], &open->sum[row], &falling->sum[row],
+                        &rising->sum[row], buffer->early, buffer->late, slices * sums);
+    } else {
+        move(&buffer->gram[entry], &falling->gram[entry], &rising->gram[entry], buffer->early, buffer->late,
+             slices * entries);
+        move(&buffer->sum[row], &falling->sum[row], &rising->sum[row], buffer->early, buffer->late, slices * sums);
     }
+    buffer->shared += slices;
+}
+
+/* Those of the buffers that wait, the older one first. */
+static void share_out_slices(zygos_accumulator_t *self, uint32_t slices)
+{
+    for (uint32_t b = 1; b < ZYGOS_ROW_BUFFERS; b++) {
+        zygos_row_buffer_t *buffer = &self->buffer[(self->filling + b) % ZYGOS_ROW_BUFFERS];
+        if (buffer->shared < ZYGOS_BUFFER_ROWS) {
+            const uint32_t left = ZYGOS_BUFFER_ROWS - buffer->shared;
+            add_slices(self, buffer, (slices < left) ? slices : left);
+        }
+    }
+}
+
+void zygos_accumulator_share_out(zygos_accumulator_t *self)
+{
+    share_out_slices(self, ZYGOS_BUFFER_ROWS);
+}
+
+/* Makes so many blocks ready at once, where the tasks had no time to: after arcs of a few instants. */
+static void make_ready(zygos_accumulator_t *self, uint32_t needed)
+{
+    for (uint32_t tries = 0; (self->ready < needed) && (tries < 4u * (uint32_t)ZYGOS_MAX_BLOCKS); tries++) {
+        const uint32_t last = (uint32_t)ZYGOS_MAX_BLOCKS - self->ready;
+        finish_upkeep(self);
+        if (self->count < last) {
+            clear_block(at(self, self->order[last - 1u]), self->width);
+            self->ready++;
+        } else if (self->task == ZYGOS_TASK_NONE) {
+            begin_next_task(self);
+        }
+    }
+}
+
+/* Opens the next segment; of an arc that begins with two blocks. Where few blocks are ready the segment goes on. */
+static void next_segment(zygos_accumulator_t *self)
+{
+    const bool begins = (self->count == self->fresh);
+    const uint32_t needed = begins ? 2u : 1u;
+    if (!begins && (self->ready < ZYGOS_SPARE_BLOCKS)) {
+        return;
+    }
+    judge(self);
+    make_ready(self, needed);
+    if ((self->ready < needed) || (self->count + needed > (uint32_t)ZYGOS_MAX_BLOCKS)) {
+        forget_places(self); /* a changed target or number of instants */
+        self->corrupt = 1;
+    }
+    self->segment = 0.0;
+    self->length = self->target;
+    append_block(self);
+    if (self->count == self->fresh + 1u) {
+        append_block(self);
+    }
+    reseal(self);
+}
+
+/* The buffer that is filled is added to the two newest blocks from here on; the next one is empty, and is filled. */
+static void next_buffer(zygos_accumulator_t *self)
+{
     zygos_row_buffer_t *buffer = &self->buffer[self->filling];
-    zygos_block_t *falling = &self->block[self->count - 2u];
-    zygos_block_t *rising = &self->block[self->count - 1u];
-    const double n = full * buffer->instants;
-    const double reached = (self->segment + 0.5 * n) / self->target;
-    const double end[2] = { 1.0, reached };
-    const double late = end[reached < 1.0];
-    const double share[2][2] = { { self->early, self->late }, { 1.0 - late, late } };
-    const double early = share[1][0];
+    const uint32_t older = self->order[self->count - 2u];
+    const uint32_t newer = self->order[self->count - 1u];
+    zygos_block_t *falling = at(self, older);
+    zygos_block_t *rising = at(self, newer);
+    const double n = buffer->instants;
+    const double reached = (self->segment + 0.5 * n) / self->length;
+    const double late = (reached < 1.0) ? reached : 1.0;
+    const double early = 1.0 - late;
     falling->instants += n * early;
     falling->square += n * early * early;
     falling->overlap += n * early * late;
     rising->instants += n * late;
     rising->square += n * late * late;
     self->segment += n;
-    self->early = share[full][0];
-    self->late = share[full][1];
-    buffer->instants -= n;
-    self->filling ^= full;
-    self->filled *= 1u - full;
-    self->shared *= 1u - full;
+    buffer->early = early;
+    buffer->late = late;
+    buffer->places = ZYGOS_PLACES(older, newer);
+    buffer->shared = 0;
+    buffer->parity = self->parity;
+    buffer->instants = 0.0;
+    self->filling = (self->filling + 1u) % ZYGOS_ROW_BUFFERS;
+    self->filled = 0;
+    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
 }
 
 void zygos_accumulator_flush(zygos_accumulator_t *self)
 {
-    for (uint32_t round = 0; (round < 2u) && (self->count > self->open); round++) {
-        add_slices(self, ZYGOS_BUFFER_ROWS - self->shared);
-        if ((round == 0) && (self->filled > 0)) {
-            next_buffer(self, 1u);
-        }
+    zygos_accumulator_share_out(self);
+    if ((self->filled > 0) && (self->count > self->fresh)) {
+        next_buffer(self);
+        zygos_accumulator_share_out(self);
     }
 }
 
@@ -360,7 +816,7 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
 {
     const uint32_t width = self->width;
     const uint32_t p = width - 2u;
-    if (self->count == self->open) {
+    if (self->count == self->fresh) {
         next_segment(self);
     }
     zygos_row_buffer_t *buffer = &self->buffer[self->filling];
@@ -375,235 +831,241 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     zygos_gram_add(buffer->gram, buffer->sum, width, z);
     buffer->instants += weight;
     self->filled++;
-    add_slices(self, 1u);
-    next_buffer(self, self->filled / ZYGOS_BUFFER_ROWS);
+    share_out_slices(self, 1u);
+    if (self->filled >= ZYGOS_BUFFER_ROWS) {
+        if (self->segment >= self->length) {
+            next_segment(self);
+        }
+        next_buffer(self);
+    }
     const uint32_t one = (uint32_t)(weight > 0.0);
     self->arc_instants += one;
     self->accepted += one;
     self->refused += 1u - one;
+    zygos_accumulator_proceed(self);
 }
 
-/* G - s m^T - m s^T + n m m^T, entry by entry; s is the last row of G, which changes last and each entry by itself. */
-static void centre(zygos_block_t *block, uint32_t width, const double *mean)
+/* ---------------------------------------------------------------- arcs */
+
+/* Of the open arc, or of the closing one. */
+static void clear_rows(zygos_accumulator_t *self, uint32_t parity)
 {
-    const double *s = &block->gram[(width - 1u) * width / 2u];
-    const double n = s[width - 1u];
-    for (uint32_t i = 0; i < width; i++) {
-        block->deviation[i] = s[i] - n * mean[i];
-    }
-    uint32_t k = 0;
-    for (uint32_t i = 0; i < width; i++) {
-        const double si = s[i];
-        for (uint32_t j = 0; j <= i; j++) {
-            block->gram[k] += n * mean[i] * mean[j] - si * mean[j] - mean[i] * s[j];
-            k++;
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        zygos_row_buffer_t *buffer = &self->buffer[b];
+        const bool waits = (buffer->shared < ZYGOS_BUFFER_ROWS) && (buffer->parity == parity);
+        if (waits || ((b == self->filling) && (parity == self->parity))) {
+            clear_buffer(self, buffer);
         }
     }
-    zygos_gram_row_sums(block->gram, width, block->sum);
-}
-
-/* Whether a block of the open arc has as many instants as its sums count, and of these the weights that its segments
-   gave it: those of an instant add up to 1, so w = w^2 + what w shares with the block before and the one behind. */
-static bool weighs_what_it_should(const zygos_block_t *block, uint32_t width, double before)
-{
-    const double off = block->gram[zygos_gram_entries(width) - 1u] - block->instants;
-    const double shared = block->instants - block->square - block->overlap - before;
-    const double few = rounded(block->instants) * (1.0 + block->instants);
-    return (block->checksum == 0) && (off >= -few) && (off <= few) && (shared >= -few) && (shared <= few);
-}
-
-static void forget_open_arc(zygos_accumulator_t *self)
-{
-    clear_share(&self->noise, self->width - 1u);
-    clear_share(&self->noise_open, self->width - 1u);
-    for (uint32_t k = 0; k < 2u; k++) {
-        memset(self->buffer[k].gram, 0, zygos_gram_entries(self->width) * sizeof self->buffer[k].gram[0]);
-        memset(self->buffer[k].sum, 0, self->width * sizeof self->buffer[k].sum[0]);
-        self->buffer[k].instants = 0.0;
-    }
-    self->arc_instants = 0;
-    self->segment = 0.0;
-    self->filled = 0;
-    self->shared = 0;
-    self->early = 0.0;
-    self->late = 0.0;
-}
-
-void zygos_accumulator_leave_out(zygos_accumulator_t *self)
-{
-    judge(self);
-    self->accepted -= self->arc_instants;
-    self->count = self->open;
-    reseal(self);
-    forget_open_arc(self);
+    clear_noise(&self->noise_open[parity & 1u], self->width);
 }
 
 static void drop_open_arc(zygos_accumulator_t *self)
 {
-    self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
-    zygos_accumulator_leave_out(self);
+    judge(self);
+    self->arcs_dropped += (self->count > self->fresh) ? 1u : 0u;
+    if ((self->task == ZYGOS_TASK_MERGE) &&
+        (rank_of(self, first_of(self->places), self->fresh, self->count) < self->count)) {
+        self->task = ZYGOS_TASK_NONE;
+    }
+    self->accepted -= self->arc_instants;
+    self->count = self->fresh;
+    clear_rows(self, self->parity);
+    self->arc_instants = 0;
+    self->segment = 0.0;
+    self->filled = 0;
+    reseal(self);
+}
+
+static void drop_closing_arc(zygos_accumulator_t *self)
+{
+    clear_rows(self, self->parity ^ 1u);
+    self->arcs_dropped++;
+    leave_out(self);
+    self->closing_instants = 0;
+    self->task = ZYGOS_TASK_NONE;
+    reseal(self);
+}
+
+bool zygos_accumulator_close(zygos_accumulator_t *self, uint64_t cycle, uint32_t cycles)
+{
+    if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
+        drop_open_arc(self);
+        return false;
+    }
+    judge(self);
+    if ((self->filled > 0) && (self->count > self->fresh)) {
+        next_buffer(self);
+    }
+    self->fresh = self->count;
+    self->rank = self->open;
+    self->closing_instants = self->arc_instants;
+    self->closing_end = cycle;
+    self->closing_cycles = cycles;
+    self->parity ^= 1u;
+    self->arc_instants = 0;
+    self->segment = 0.0;
+    reseal(self);
+    return true;
+}
+
+bool zygos_accumulator_busy(const zygos_accumulator_t *self)
+{
+    return zygos_accumulator_closing(self) || (self->task != (uint32_t)ZYGOS_TASK_NONE);
+}
+
+void zygos_accumulator_settle(zygos_accumulator_t *self)
+{
+    const uint32_t most = 8u * ZYGOS_PASS_CYCLES * (uint32_t)ZYGOS_MAX_BLOCKS;
+    zygos_accumulator_share_out(self);
+    for (uint32_t tries = 0; (tries < most) && zygos_accumulator_busy(self); tries++) {
+        if (self->task != ZYGOS_TASK_JUDGE) {
+            zygos_accumulator_proceed(self);
+        } else if (self->rank < self->fresh) {
+            zygos_accumulator_judged_block(self);
+        } else {
+            zygos_accumulator_judged_arc(self, true);
+        }
+    }
+}
+
+void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
+{
+    zygos_accumulator_settle(self);
+    (void)zygos_accumulator_close(self, cycle, self->arc_instants);
+    zygos_accumulator_settle(self);
 }
 
 static double closed_instants(const zygos_accumulator_t *self)
 {
     double total = 0.0;
-    for (uint32_t b = 0; b < self->open; b++) {
-        total += self->block[b].instants;
+    for (uint32_t r = 0; r < self->open; r++) {
+        total += zygos_accumulator_instants(self, r);
     }
     return total;
 }
 
+/* Takes the share of dropped blocks off the noise of closed arcs, and counts the instants that are left. */
+static void reduce(zygos_accumulator_t *self, double before)
+{
+    const double kept = closed_instants(self);
+    if (kept < before) {
+        const uint64_t unclosed = (uint64_t)self->arc_instants + self->closing_instants;
+        const uint64_t closed = self->accepted - unclosed;
+        self->accepted = unclosed + (uint64_t)((double)closed * kept / before + 0.5);
+        self->noise_fade *= kept / before;
+    }
+    if (!(self->noise_fade > 0.0)) {
+        clear_noise(&self->noise_closed, self->width);
+        self->noise_fade = 1.0;
+    }
+}
+
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
 {
+    finish_upkeep(self);
     drop_open_arc(self);
+    if (zygos_accumulator_closing(self)) {
+        if (self->closing_end <= cycle) {
+            return;
+        }
+        drop_closing_arc(self);
+    }
     const double before = closed_instants(self);
-    while ((self->open > 0) && (self->block[self->open - 1u].end > cycle)) {
-        const zygos_block_t *last = &self->block[self->open - 1u];
-        const bool first_of_arc = (self->open == 1) || (self->block[self->open - 2u].end != last->end);
+    while ((self->open > 0) && (zygos_accumulator_at(self, self->open - 1u)->end > cycle)) {
+        const uint64_t end = zygos_accumulator_at(self, self->open - 1u)->end;
+        const bool first_of_arc = (self->open == 1) || (zygos_accumulator_at(self, self->open - 2u)->end != end);
         self->arcs -= first_of_arc ? 1u : 0u;
         self->arcs_dropped += first_of_arc ? 1u : 0u;
         self->open--;
     }
     self->count = self->open;
+    self->fresh = self->open;
     if (self->open > 0) {
-        zygos_block_t *last = &self->block[self->open - 1u];
+        zygos_block_t *last = zygos_accumulator_block(self, self->open - 1u);
         const bool whole = is_whole(last, self->width);
-        last->overlap = 0.0; /* the block behind is gone, or another arc's */
+        last->overlap = 0.0; /* the block that it shared with is gone */
         seal(last, self->width, whole);
     }
     self->newest = (self->newest < self->open) ? self->newest : self->open;
     self->window = (self->window < self->open) ? self->window : self->open;
+    reduce(self, before);
     reseal(self);
-    const double kept = closed_instants(self);
-    if (kept < before) {
-        self->accepted = (uint64_t)((double)self->accepted * kept / before + 0.5);
-        add_share(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->width - 1u);
-    }
 }
 
 uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle)
 {
+    finish_upkeep(self);
     judge(self);
     const double before = closed_instants(self);
     uint32_t drop = 0;
     uint32_t dropped = 0;
-    while ((drop < self->open) && (self->block[drop].end <= cycle)) {
-        const bool last_of_arc = (drop + 1u == self->open) || (self->block[drop + 1u].end != self->block[drop].end);
+    while ((drop < self->open) && (zygos_accumulator_at(self, drop)->end <= cycle)) {
+        const uint64_t end = zygos_accumulator_at(self, drop)->end;
+        const bool last_of_arc = (drop + 1u == self->open) || (zygos_accumulator_at(self, drop + 1u)->end != end);
         dropped += last_of_arc ? 1u : 0u;
         drop++;
     }
-    for (uint32_t b = drop; (drop > 0) && (b < self->count); b++) {
-        self->block[b - drop] = self->block[b];
-    }
-    self->count -= drop;
+    free_ranks(self, 0, drop);
     self->open -= drop;
+    self->fresh -= drop;
     self->newest -= (self->newest < drop) ? self->newest : drop;
     self->window -= (self->window < drop) ? self->window : drop;
     self->arcs -= (dropped < self->arcs) ? dropped : self->arcs;
-    const double kept = closed_instants(self);
-    if (kept < before) {
-        const uint64_t closed = self->accepted - self->arc_instants;
-        self->accepted = self->arc_instants + (uint64_t)((double)closed * kept / before + 0.5);
-        add_share(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->width - 1u);
-    }
+    reduce(self, before);
     reseal(self);
     return dropped;
 }
 
 void zygos_accumulator_forget(zygos_accumulator_t *self, double factor)
 {
-    const uint32_t size = zygos_gram_entries(self->width);
     double left = 0.0;
-    for (uint32_t b = 0; b < self->open; b++) {
-        zygos_block_t *block = &self->block[b];
+    judge(self);
+    for (uint32_t r = 0; r < self->open; r++) {
+        const double instants = factor * zygos_accumulator_instants(self, r);
+        const uint32_t place = self->order[r];
+        self->fade[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u] *=
+            (instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
+        left += (instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? instants : 0.0;
+    }
+    self->noise_fade *= (left > 0.0) ? factor : 0.0;
+    if (!(self->noise_fade > 0.0)) {
+        clear_noise(&self->noise_closed, self->width);
+        self->noise_fade = 1.0;
+    }
+    reseal(self);
+}
+
+void zygos_accumulator_apply_fade(zygos_accumulator_t *self)
+{
+    for (uint32_t r = 0; r < self->open; r++) {
+        const double fade = fade_of(self, r);
+        zygos_block_t *block = zygos_accumulator_block(self, r);
+        if (fade >= 1.0) {
+            continue;
+        }
         const bool whole = is_whole(block, self->width);
-        const double kept = (factor * block->instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
-        for (uint32_t k = 0; k < size; k++) {
-            block->gram[k] *= kept;
+        for (uint32_t k = 0; k < zygos_gram_entries(self->width); k++) {
+            block->gram[k] *= fade;
         }
         for (uint32_t i = 0; i < self->width; i++) {
-            block->sum[i] *= kept;
-            block->deviation[i] *= kept;
+            block->sum[i] *= fade;
+            block->deviation[i] *= fade;
         }
-        block->instants *= kept;
-        block->square *= kept;
-        block->overlap *= kept;
+        block->instants *= fade;
+        block->square *= fade;
+        block->overlap *= fade;
         seal(block, self->width, whole);
-        left += block->instants;
+        self->fade[block - self->block] = 1.0;
     }
-    add_share(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->width - 1u);
-}
-
-bool zygos_accumulator_close(zygos_accumulator_t *self)
-{
-    const uint32_t width = self->width;
-    if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
-        drop_open_arc(self);
-        return false;
+    for (uint32_t k = 0; (k < zygos_gram_entries(self->width)) && (self->noise_fade < 1.0); k++) {
+        self->noise_closed.gram[k] *= self->noise_fade;
     }
-    judge(self);
-    zygos_accumulator_flush(self);
-    bool whole = (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum, self->segment) <= 1.0);
-    end_segment(self);
-    double mean[ZYGOS_MAX_ROW] = { 0.0 };
-    const uint32_t last = (width - 1u) * width / 2u;
-    for (uint32_t b = self->open; b < self->count; b++) {
-        for (uint32_t i = 0; i < width; i++) {
-            mean[i] += self->block[b].gram[last + i];
-        }
+    for (uint32_t i = 0; (i < self->width) && (self->noise_fade < 1.0); i++) {
+        self->noise_closed.sum[i] *= self->noise_fade;
     }
-    for (uint32_t i = 0; i < width; i++) {
-        mean[i] /= (double)self->arc_instants;
-    }
-    /* The last column counts instants as well. */
-    const double counted = mean[width - 1u];
-    const double few = rounded((double)self->arc_instants);
-    whole = whole && (counted > 1.0 - few) && (counted < 1.0 + few);
-    double before = 0.0; /* what a block shares with the one before it */
-    for (uint32_t b = self->open; b < self->count; b++) {
-        whole = whole && weighs_what_it_should(&self->block[b], width, before);
-        before = self->block[b].overlap;
-        /* Centring cancels: the row sums are judged before, and taken anew after. */
-        whole =
-            whole && (zygos_gram_check(self->block[b].gram, width, self->block[b].sum, self->block[b].instants) <= 1.0);
-        centre(&self->block[b], width, mean);
-    }
-    if (!whole) {
-        self->quarantined++;
-        drop_open_arc(self);
-    }
-    return whole;
-}
-
-void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
-{
-    for (uint32_t b = self->open; b < self->count; b++) {
-        self->block[b].end = cycle;
-        self->block[b].checksum = checksum_of_block(&self->block[b], self->width);
-    }
-    add_share(&self->noise_closed, &self->noise_open, 1.0, self->width - 1u);
-    if ((double)self->arc_instants >= self->enough) {
-        self->window = self->open; /* it speaks without the short ones before it */
-    }
-    self->open = self->count;
-    double instants = 0.0;
-    for (uint32_t b = self->window; b < self->open; b++) {
-        instants += self->block[b].instants;
-    }
-    if (instants >= self->enough) {
-        self->newest = self->window;
-        self->window = self->open;
-    }
-    self->arcs++;
+    self->noise_fade = 1.0;
     reseal(self);
-    forget_open_arc(self);
-}
-
-void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
-{
-    if (zygos_accumulator_close(self)) {
-        zygos_accumulator_admit(self, cycle);
-    }
 }
 
 static bool is_count(double instants)
@@ -611,20 +1073,35 @@ static bool is_count(double instants)
     return (instants >= 0.0) && (instants <= ZYGOS_MAX_INSTANTS);
 }
 
-/* An open arc has two blocks at least, and without blocks there is no segment. Instants and target decide whether
-   blocks merge, and so whether blocks are free. */
+static bool is_factor(double fade)
+{
+    return (fade >= 0.0) && (fade <= 1.0);
+}
+
+bool zygos_accumulator_steady(const zygos_accumulator_t *self)
+{
+    bool good = (self->filling < ZYGOS_ROW_BUFFERS) && (self->filled < (uint32_t)ZYGOS_BUFFER_ROWS) &&
+                (self->parity <= 1u) && (self->task < (uint32_t)ZYGOS_TASKS) && (self->row <= self->width);
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        const zygos_row_buffer_t *buffer = &self->buffer[b];
+        good = good && (buffer->shared <= (uint32_t)ZYGOS_BUFFER_ROWS) && (buffer->parity <= 1u);
+    }
+    return good;
+}
+
+/* Without blocks there is no segment. Instants and target decide whether blocks merge, and so whether blocks are free.
+ */
 bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters)
 {
-    const bool is_open = (self->count > self->open);
+    const bool is_open = (self->count > self->fresh);
     bool good = (parameters <= (uint32_t)ZYGOS_MAX_PARAMETERS) && (self->width == parameters + 2u) &&
-                (self->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (self->open <= self->count) &&
-                (self->count != self->open + 1u) && (self->window <= self->open) && (self->newest <= self->window) &&
-                (self->filling <= 1u) && (self->filled < (uint32_t)ZYGOS_BUFFER_ROWS) &&
-                (self->shared < (uint32_t)ZYGOS_BUFFER_ROWS) && is_count(self->segment) &&
-                (is_open || !(self->segment > 0.0)) && is_count(self->buffer[0].instants) &&
-                is_count(self->buffer[1].instants) && (self->target >= 1.0) && is_count(self->target);
-    for (uint32_t b = 0; good && (b < self->count); b++) {
-        good = is_count(self->block[b].instants);
+                are_places_possible(self) && zygos_accumulator_steady(self) && is_count(self->segment) &&
+                (is_open || !(self->segment > 0.0)) && (self->target >= 1.0) && is_count(self->target) &&
+                (!is_open || ((self->length >= 1.0) && is_count(self->length))) && is_factor(self->noise_fade) &&
+                (self->noise_fade > 0.0) && (self->rank >= self->open || self->fresh == self->open) &&
+                (self->rank <= self->fresh || self->fresh == self->open);
+    for (uint32_t r = 0; good && (r < self->count); r++) {
+        good = is_count(zygos_accumulator_at(self, r)->instants) && is_factor(fade_of(self, r));
     }
     return good;
 }
@@ -633,14 +1110,20 @@ bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t paramete
 static bool is_open_arc_whole(const zygos_accumulator_t *self)
 {
     const uint32_t width = self->width;
-    bool whole = (self->filling <= 1u) && (self->filled < (uint32_t)ZYGOS_BUFFER_ROWS) &&
-                 (self->shared < (uint32_t)ZYGOS_BUFFER_ROWS) && is_count(self->segment);
-    for (uint32_t b = self->open; b < self->count; b++) {
-        whole = whole && (self->block[b].checksum == 0) && is_count(self->block[b].instants);
+    bool whole = zygos_accumulator_steady(self) && is_count(self->segment);
+    for (uint32_t r = self->fresh; r < self->count; r++) {
+        const zygos_block_t *block = zygos_accumulator_at(self, r);
+        whole = whole && (block->checksum == 0) && is_count(block->instants);
     }
     const double adds = (double)self->accepted;
-    whole = whole && (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum, adds) <= 1.0) &&
-            (zygos_gram_check(self->noise_open.gram, width - 1u, self->noise_open.sum, adds) <= 1.0);
+    for (uint32_t b = 0; whole && (b < ZYGOS_ROW_BUFFERS); b++) {
+        const zygos_noise_sums_t *noise = &self->buffer[b].noise;
+        whole = is_count(self->buffer[b].instants) && (zygos_gram_check(noise->gram, width - 1u, noise->sum, adds) <= 1.0);
+    }
+    for (uint32_t n = 0; whole && (n < 2u); n++) {
+        const zygos_noise_sums_t *noise = &self->noise_open[n];
+        whole = (zygos_gram_check(noise->gram, width - 1u, noise->sum, adds) <= 1.0);
+    }
     return whole;
 }
 
@@ -650,67 +1133,82 @@ static bool is_block_whole(const zygos_block_t *block, uint32_t width)
            (zygos_gram_check(block->gram, width, block->sum, block->instants) <= 1.0);
 }
 
+/* Drops the closed blocks that do not match. Needs that no other blocks are in use. */
 static void quarantine(zygos_accumulator_t *self)
 {
+    const uint32_t was = self->open;
     bool previous = false; /* whether the block before was kept */
-    uint32_t to = 0;
-    uint32_t newest = 0;
-    uint32_t window = 0;
     double before = 0.0;
     double after = 0.0;
-    for (uint32_t b = 0; b < self->open; b++) {
-        const bool kept = is_block_whole(&self->block[b], self->width);
-        before += kept || is_count(self->block[b].instants) ? self->block[b].instants : 0.0;
-        after += kept ? self->block[b].instants : 0.0;
+    for (uint32_t r = 0; r < self->open;) {
+        zygos_block_t *block = zygos_accumulator_block(self, r);
+        const double instants = zygos_accumulator_instants(self, r);
+        const bool kept = is_block_whole(block, self->width);
+        before += is_count(instants) ? instants : 0.0;
+        after += kept ? instants : 0.0;
         if (!kept && previous) { /* the block that it shared with is gone */
-            self->block[to - 1u].overlap = 0.0;
-            seal(&self->block[to - 1u], self->width, true);
+            zygos_block_t *last = zygos_accumulator_block(self, r - 1u);
+            last->overlap = 0.0;
+            seal(last, self->width, true);
         }
-        if (kept && (to != b)) {
-            self->block[to] = self->block[b];
+        if (!kept) {
+            free_ranks(self, r, r + 1u);
+            self->newest -= (r < self->newest) ? 1u : 0u;
+            self->window -= (r < self->window) ? 1u : 0u;
+            self->open--;
         }
-        to += kept ? 1u : 0u;
-        newest += (kept && (b < self->newest)) ? 1u : 0u;
-        window += (kept && (b < self->window)) ? 1u : 0u;
+        r += kept ? 1u : 0u;
         previous = kept;
     }
-    if (to == self->open) {
-        return;
-    }
-    self->quarantined += self->open - to;
-    self->newest = newest;
-    self->window = window;
-    self->count = to;
-    self->open = to;
+    self->fresh = self->open;
+    self->quarantined += was - self->open;
     self->accepted = (uint64_t)after;
+    self->noise_fade *= (before > 0.0) ? after / before : 0.0;
+    if (!(self->noise_fade > 0.0)) {
+        clear_noise(&self->noise_closed, self->width);
+        self->noise_fade = 1.0;
+    }
     reseal(self);
-    add_share(&self->noise_closed, &self->noise_closed, ((before > 0.0) ? after / before : 0.0) - 1.0,
-              self->width - 1u);
 }
 
 bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
 {
     if (((self->checksum != checksum_of(self)) && !repair(self)) || (self->corrupt == 1u) ||
-        (self->width != parameters + 2u) || (self->count > (uint32_t)ZYGOS_MAX_BLOCKS) || (self->open > self->count) ||
-        (self->window > self->open) || (self->newest > self->window) || !(self->target >= 1.0) ||
+        (self->width != parameters + 2u) || !are_places_possible(self) || !(self->target >= 1.0) ||
+        !is_factor(self->noise_fade) || !(self->noise_fade > 0.0) ||
         !(zygos_gram_check(self->noise_closed.gram, self->width - 1u, self->noise_closed.sum, (double)self->accepted) <=
           1.0)) {
         return false;
     }
     self->corrupt = 0;
-    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
-    bool whole = true;
-    for (uint32_t b = 0; b < self->open; b++) {
-        whole = whole && is_block_whole(&self->block[b], self->width);
+    bool whole = !zygos_accumulator_closing(self) && (self->task == ZYGOS_TASK_NONE);
+    for (uint32_t r = 0; whole && (r < self->open); r++) {
+        whole = is_block_whole(zygos_accumulator_at(self, r), self->width);
     }
-    if (!is_open_arc_whole(self) || !whole) {
-        self->quarantined += is_open_arc_whole(self) ? 0u : 1u;
-        self->filling &= 1u;
+    const bool open = is_open_arc_whole(self);
+    if (!open || !whole) {
+        self->quarantined += open ? 0u : 1u;
+        self->filling = (self->filling < ZYGOS_ROW_BUFFERS) ? self->filling : 0u;
+        self->parity &= 1u;
+        begin_task(self, ZYGOS_TASK_NONE, 0);
+        for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+            clear_buffer(self, &self->buffer[b]);
+            self->buffer[b].parity = self->parity;
+            self->buffer[b].places = 0;
+        }
+        clear_noise(&self->noise_open[0], self->width);
+        clear_noise(&self->noise_open[1], self->width);
         drop_open_arc(self);
+        if (zygos_accumulator_closing(self)) {
+            drop_closing_arc(self);
+        }
+        self->ready = 0; /* what is in free blocks is not known */
+        reseal(self);
     }
     if (!whole) {
         quarantine(self);
     }
+    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
     return true;
 }
 
@@ -718,9 +1216,11 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 {
     const uint32_t size = zygos_gram_entries(self->width);
     memset(gram, 0, size * sizeof gram[0]);
-    for (uint32_t b = 0; b < self->open; b++) {
+    for (uint32_t r = 0; r < self->open; r++) {
+        const zygos_block_t *block = zygos_accumulator_at(self, r);
+        const double fade = fade_of(self, r);
         for (uint32_t k = 0; k < size; k++) {
-            gram[k] += self->block[b].gram[k];
+            gram[k] += fade * block->gram[k];
         }
     }
 }
@@ -728,16 +1228,16 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 double zygos_accumulator_check(const zygos_accumulator_t *self)
 {
     double worst = ((self->corrupt != 0) || (self->checksum != checksum_of(self))) ? 2.0 : 0.0;
-    const zygos_noise_sums_t *shares[3] = { &self->noise, &self->noise_open, &self->noise_closed };
+    const zygos_noise_sums_t *shares[3] = { &self->noise_open[0], &self->noise_open[1], &self->noise_closed };
     for (uint32_t s = 0; s < 3; s++) {
         const double here = zygos_gram_check(shares[s]->gram, self->width - 1u, shares[s]->sum, (double)self->accepted);
         worst = (here > worst) ? here : worst;
     }
-    for (uint32_t b = 0; b < self->count; b++) {
-        const double here =
-            zygos_gram_check(self->block[b].gram, self->width, self->block[b].sum, self->block[b].instants);
+    for (uint32_t r = 0; r < self->count; r++) {
+        const zygos_block_t *block = zygos_accumulator_at(self, r);
+        const double here = zygos_gram_check(block->gram, self->width, block->sum, block->instants);
         worst = (here > worst) ? here : worst;
-        const bool good = (b < self->open) ? is_whole(&self->block[b], self->width) : (self->block[b].checksum == 0);
+        const bool good = (r < self->open) ? is_whole(block, self->width) : (block->checksum == 0);
         worst = good ? worst : 2.0;
     }
     return worst;

@@ -33,6 +33,8 @@ bool zygos_work_intact(zygos_work_t *work)
         !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
         return false;
     }
+    const uint32_t before = quarantined(work);
+    zygos_guard_settle_energy(&work->guard, &work->config, sums);
     zygos_accumulator_flush(sums);
     zygos_joint_sums_flush(&work->joint_sums, &work->config);
     zygos_guard_end_joints(&work->guard, &work->config, &work->joint_sums, work->cycle, &work->joints_forgetting);
@@ -42,12 +44,12 @@ bool zygos_work_intact(zygos_work_t *work)
         !(zygos_joint_sums_check(&work->joint_sums) <= 1.0)) {
         return false;
     }
-    const uint32_t before = quarantined(work);
     zygos_guard_end_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums, work->cycle);
     zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
     if (work->config.impulse_arc_cycles > 0) {
         zygos_guard_end_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums, work->cycle);
     }
+    zygos_accumulator_apply_fade(sums);
     return (quarantined(work) == before) && (sums->corrupt == 0) && (work->motor_sums.corrupt == 0) &&
            (work->momentum_sums.corrupt == 0);
 }

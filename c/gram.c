@@ -64,35 +64,50 @@ void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum)
     }
 }
 
-double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds)
+void zygos_gram_scan(zygos_gram_scan_t *scan, const double *gram, uint32_t first, uint32_t end)
 {
-    double largest = 0.0;
-    double worst = 0.0;
-    const uint32_t size = zygos_gram_entries(width);
-    for (uint32_t k = 0; k < size; k++) {
-        largest = (magnitude(gram[k]) > largest) ? magnitude(gram[k]) : largest;
-    }
-    const double share = EPSILON * (64.0 * (double)width + adds);
-    for (uint32_t i = 0; i < width; i++) {
-        /* Row by row, in the order of zygos_gram_row_sums(): along the row, then down the column. */
-        double anew = 0.0;
+    const double *from = &gram[zygos_gram_entries(first)];
+    for (uint32_t i = first; i < end; i++) {
+        double row = 0.0;
         double most = 0.0;
-        uint32_t k = zygos_gram_entries(i);
-        for (uint32_t j = 0; j < width; j++) {
-            anew += gram[k];
-            most = (magnitude(gram[k]) > most) ? magnitude(gram[k]) : most;
-            k += (j < i) ? 1u : j + 1u;
+        for (uint32_t j = 0; j < i; j++) {
+            const double size = magnitude(from[j]);
+            row += from[j];
+            scan->sum[j] += from[j];
+            most = (size > most) ? size : most;
+            scan->most[j] = (size > scan->most[j]) ? size : scan->most[j];
         }
-        const double off = magnitude(anew - sum[i]);
+        const double size = magnitude(from[i]);
+        scan->sum[i] = row + from[i];
+        scan->most[i] = (size > most) ? size : most;
+        scan->largest = (scan->most[i] > scan->largest) ? scan->most[i] : scan->largest;
+        from += i + 1u;
+    }
+}
+
+double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uint32_t width, const double *sum,
+                          double adds)
+{
+    const double share = EPSILON * (64.0 * (double)width + adds);
+    double worst = 0.0;
+    for (uint32_t i = 0; i < width; i++) {
+        const double off = magnitude(scan->sum[i] - sum[i]);
         const double square = magnitude(gram[zygos_gram_entries(i + 1u) - 1u]);
-        const double bound = __builtin_sqrt(square) * __builtin_sqrt(largest);
-        const double tolerance = share * ((bound > most) ? bound : most);
+        const double bound = __builtin_sqrt(square) * __builtin_sqrt(scan->largest);
+        const double tolerance = share * ((bound > scan->most[i]) ? bound : scan->most[i]);
         /* Not-a-number compares false with everything; neither it nor infinity is a sum. */
         const bool good = (off <= tolerance) && (tolerance < 1e300);
         const double ratio = good ? off / (tolerance + 1e-300) : 2.0;
         worst = (ratio > worst) ? ratio : worst;
     }
     return worst;
+}
+
+double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds)
+{
+    zygos_gram_scan_t scan = { { 0.0 }, { 0.0 }, 0.0 };
+    zygos_gram_scan(&scan, gram, 0, width);
+    return zygos_gram_scanned(&scan, gram, width, sum, adds);
 }
 
 /* The factor is odd, so that two checksums never become equal. */

@@ -71,17 +71,9 @@ static double entry(const double *packed, uint32_t i, uint32_t j)
     return (i >= j) ? packed[zygos_gram_entries(i) + j] : packed[zygos_gram_entries(j) + i];
 }
 
-/* Comparison of the rows of an arc with the running solution. */
-typedef struct {
-    double residual;    /* Sum of the squared residuals, including noise. */
-    double expected;    /* Its expected value by the declared noise. */
-    double uncertainty; /* Its expectation for an error of the solution of one standard deviation. */
-    double spread;      /* Sum of the squares of the right side. */
-} finding_t;
-
 /* Adds x~' G x~ and tr(G C) of the columns at place[], followed by the right side. */
 static void add_residuals(const zygos_guard_t *self, const double *gram, const uint32_t *place, uint32_t columns,
-                          bool sides, finding_t *out)
+                          bool sides, zygos_finding_t *out)
 {
     for (uint32_t a = 0; a < columns; a++) {
         const uint32_t i = place ? place[a] : a;
@@ -124,7 +116,7 @@ static double larger(double a, double b)
 
 /* The limit of the residuals: what n instants of the run leave on average, by number and by spread, or what the
    declared noise leaves. */
-static double limit_of(const finding_t *found, const zygos_mean_squares_t *run, double n, double freedom)
+static double limit_of(const zygos_finding_t *found, const zygos_mean_squares_t *run, double n, double freedom)
 {
     const double spread = larger(found->spread, n * run->spread);
     const double alike = larger(n * run->residual, (run->spread > 0.0) ? run->residual / run->spread * spread : 0.0);
@@ -182,78 +174,159 @@ static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t ro
     }
 }
 
+/* Adds the rows of a part of the task: x~' G x~ and tr(G C) of the sums, and d' C d of the deviations, if there are. */
+static void add_part(zygos_guard_t *self, const zygos_accumulator_t *sums, uint32_t end, const double *gram,
+                     const double *deviation, zygos_finding_t *out)
+{
+    const uint32_t p = sums->width - 2u;
+    const uint32_t first = zygos_gram_entries(sums->row);
+    const double *from = &gram[first];
+    const double *covariance = &self->covariance[(sums->row < p) ? first : 0u];
+    for (uint32_t i = sums->row; (i < end) && (i < p); i++) {
+        double product = 0.0;
+        double trace = 0.0;
+        double walk = 0.0;
+        for (uint32_t j = 0; j < i; j++) {
+            product += from[j] * self->solution[j];
+            trace += from[j] * covariance[j];
+            walk += deviation ? deviation[j] * covariance[j] : 0.0;
+        }
+        out->residual += self->solution[i] * (2.0 * product + from[i] * self->solution[i]);
+        out->uncertainty += 2.0 * trace + from[i] * covariance[i];
+        self->walk += deviation ? deviation[i] * (2.0 * walk + deviation[i] * covariance[i]) : 0.0;
+        from += i + 1u;
+        covariance += i + 1u;
+    }
+    if ((sums->row <= p) && (end > p)) { /* the right side */
+        const double *right = &gram[zygos_gram_entries(p)];
+        for (uint32_t j = 0; j < p; j++) {
+            out->residual -= 2.0 * right[j] * self->solution[j];
+        }
+        out->residual += right[p];
+        out->spread += right[p];
+    }
+}
+
+/* The sum of residuals of a block. */
+static void add_block(zygos_guard_t *self, const zygos_block_t *block, uint32_t p)
+{
+    if (!(block->square > 0.0)) {
+        return;
+    }
+    double sum = block->deviation[p];
+    for (uint32_t i = 0; i < p; i++) {
+        sum -= self->solution[i] * block->deviation[i];
+    }
+    self->blocks.residual += sum * sum / block->square;
+    self->blocks.uncertainty += self->walk / block->square;
+    self->share += block->instants * block->instants / block->square;
+    self->compared += 1.0;
+}
+
+/* Whether the closing arc, of which all blocks are compared, contradicts the running solution. */
 static bool energy_contradicts(zygos_guard_t *self, const zygos_config_t *config, const zygos_accumulator_t *sums,
                                bool *informative)
 {
-    const uint32_t p = sums->width - 2u;
-    const double n = (double)sums->arc_instants;
+    const double n = (double)sums->closing_instants;
     const double window = 2.0 * (double)config->smoother_half_width + 1.0;
-    finding_t rows = { 0.0, 0.0, 0.0, 0.0 };
-    finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
-    finding_t blocks = { 0.0, 0.0, 0.0, 0.0 };
-    add_residuals(self, sums->noise_open.gram, NULL, p, true, &noise);
-    rows.expected = self->noise_ratio * noise.residual;
-    double share = 0.0;
-    double count_of_blocks = 0.0;
-    for (uint32_t b = sums->open; b < sums->count; b++) {
-        const zygos_block_t *block = &sums->block[b];
-        add_residuals(self, block->gram, NULL, p, true, &rows);
-        if (!(block->square > 0.0)) {
-            continue;
-        }
-        double sum = block->deviation[p];
-        double uncertainty = 0.0;
-        for (uint32_t i = 0; i < p; i++) {
-            sum -= self->solution[i] * block->deviation[i];
-            for (uint32_t j = 0; j < i; j++) {
-                uncertainty += 2.0 * block->deviation[i] * block->deviation[j] * entry(self->covariance, i, j);
-            }
-            uncertainty += block->deviation[i] * block->deviation[i] * entry(self->covariance, i, i);
-        }
-        blocks.residual += sum * sum / block->square;
-        blocks.uncertainty += uncertainty / block->square;
-        share += block->instants * block->instants / block->square;
-        count_of_blocks += 1.0;
-    }
-    rows.residual += noise.residual;
-    const double limit = limit_of(&rows, &self->energy, n, n / window);
+    self->rows.expected = self->noise_ratio * self->noise.residual;
+    self->rows.residual += self->noise.residual;
+    const double limit = limit_of(&self->rows, &self->energy, n, n / window);
     /* The squared sums of residuals in blocks: by the cluster statistic of the run and the expected mean square. */
-    const double expected = larger(rows.expected / n, self->energy.residual);
-    const double most =
-        zygos_guard_chi_square_limit(0.5 * count_of_blocks) * self->cluster * expected * count_of_blocks +
-        SIGMAS * SIGMAS * larger(blocks.uncertainty, 0.0) +
-        ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * self->energy.spread * share;
-    const double first = (limit > 0.0) ? rows.residual / limit : 0.0;
-    const double second = (most > 0.0) ? blocks.residual / most : 0.0;
+    const double expected = larger(self->rows.expected / n, self->energy.residual);
+    const double most = zygos_guard_chi_square_limit(0.5 * self->compared) * self->cluster * expected * self->compared +
+                        SIGMAS * SIGMAS * larger(self->blocks.uncertainty, 0.0) +
+                        ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * self->energy.spread * self->share;
+    const double first = (limit > 0.0) ? self->rows.residual / limit : 0.0;
+    const double second = (most > 0.0) ? self->blocks.residual / most : 0.0;
     self->contradiction[ZYGOS_ENERGY_ROWS] = larger(first, second);
-    *informative = limit < INFORMATIVE * rows.spread;
+    *informative = limit < INFORMATIVE * self->rows.spread;
     return self->contradiction[ZYGOS_ENERGY_ROWS] > 1.0;
 }
 
-void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
-                            uint64_t cycle, uint32_t cycles)
+static void begin_comparison(zygos_guard_t *self, const zygos_config_t *config, const zygos_accumulator_t *sums)
 {
-    if (!zygos_accumulator_close(sums)) {
-        return;
-    }
-    if (zygos_joint_sums_suffice(config) || !has_running_solution(self, sums->width - 2u) ||
-        !(self->energy.residual > 0.0)) {
-        zygos_accumulator_admit(sums, cycle);
+    const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
+    self->rows = none;
+    self->noise = none;
+    self->blocks = none;
+    self->share = 0.0;
+    self->compared = 0.0;
+    self->comparing = (!zygos_joint_sums_suffice(config) && has_running_solution(self, sums->width - 2u) &&
+                       (self->energy.residual > 0.0))
+                          ? 1u
+                          : 0u;
+}
+
+static void judge_arc(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
+{
+    if (self->comparing == 0) {
+        zygos_accumulator_judged_arc(sums, true);
         return;
     }
     bool informative = false;
     const bool contradicts = energy_contradicts(self, config, sums, &informative);
     double there = 0.0;
-    for (uint32_t b = 0; b < sums->open; b++) {
-        there += sums->block[b].instants;
+    for (uint32_t r = 0; r < sums->open; r++) {
+        there += zygos_accumulator_instants(sums, r);
     }
-    count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, informative, (double)sums->arc_instants, there, cycle,
-          cycles);
-    if (contradicts) {
-        zygos_accumulator_leave_out(sums);
-    } else {
-        zygos_accumulator_admit(sums, cycle);
+    count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, informative, (double)sums->closing_instants, there,
+          sums->closing_end, sums->closing_cycles);
+    zygos_accumulator_judged_arc(sums, !contradicts);
+}
+
+void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
+{
+    if (sums->task != (uint32_t)ZYGOS_TASK_JUDGE) {
+        return;
     }
+    const bool block = (sums->rank < sums->fresh);
+    if ((sums->rank == sums->open) && (sums->row == 0)) {
+        begin_comparison(self, config, sums);
+    }
+    self->walk = (sums->row == 0) ? 0.0 : self->walk;
+    const uint32_t end = (self->comparing != 0) ? zygos_accumulator_part(sums, 1u) : sums->width;
+    if ((self->comparing != 0) && block) {
+        const zygos_block_t *from = zygos_accumulator_at(sums, sums->rank);
+        add_part(self, sums, end, from->gram, from->deviation, &self->rows);
+        if (end >= sums->width) {
+            add_block(self, from, sums->width - 2u);
+        }
+    } else if (self->comparing != 0) {
+        add_part(self, sums, end, sums->noise_open[(sums->parity & 1u) ^ 1u].gram, NULL, &self->noise);
+    }
+    sums->row = end;
+    if ((end >= sums->width) && block) {
+        zygos_accumulator_judged_block(sums);
+    } else if (end >= sums->width) {
+        judge_arc(self, config, sums);
+    }
+}
+
+void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
+{
+    const uint32_t most = 8u * ZYGOS_PASS_CYCLES * (uint32_t)ZYGOS_MAX_BLOCKS;
+    zygos_accumulator_share_out(sums);
+    for (uint32_t tries = 0; (tries < most) && zygos_accumulator_busy(sums); tries++) {
+        zygos_accumulator_proceed(sums);
+        zygos_guard_proceed_energy(self, config, sums);
+    }
+}
+
+void zygos_guard_close_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
+                              uint64_t cycle, uint32_t cycles)
+{
+    if (zygos_accumulator_closing(sums)) {
+        zygos_guard_settle_energy(self, config, sums);
+    }
+    (void)zygos_accumulator_close(sums, cycle, cycles);
+}
+
+void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
+                            uint64_t cycle, uint32_t cycles)
+{
+    zygos_guard_close_energy(self, config, sums, cycle, cycles);
+    zygos_guard_settle_energy(self, config, sums);
 }
 
 /* Places of the columns of the motor rows of a joint. Returns their number. */
@@ -271,12 +344,12 @@ static uint32_t motor_places(const zygos_column_map_t *column_map, const zygos_i
 /* The residuals of a joint's rows in a block, and their expected value by the declared noise. */
 static void add_motor_residuals(const zygos_guard_t *self, const zygos_config_t *config,
                                 const zygos_column_map_t *column_map, const zygos_motor_sums_t *sums,
-                                const zygos_motor_block_t *block, uint32_t i, finding_t *out)
+                                const zygos_motor_block_t *block, uint32_t i, zygos_finding_t *out)
 {
     uint32_t place[ZYGOS_MAX_IMPULSE] = { 0 };
     const uint32_t columns = motor_places(column_map, &sums->column_map, i, place);
     const zygos_joint_config_t *joint = &config->joint[i];
-    finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+    zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
     add_residuals(self, sums->noise[i], place, columns, false, &noise);
     add_residuals(self, block->joint[i].gram, place, columns, true, out);
     const double n = block->instants[i];
@@ -306,7 +379,7 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
         if ((sums->column_map.count[i] == 0) || !(n > 0.0) || !(self->motor[i].residual > 0.0)) {
             continue;
         }
-        finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+        zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
         add_motor_residuals(self, config, column_map, sums, &sums->open, i, &found);
         const double limit = limit_of(&found, &self->motor[i], n, 1.0);
         informative = informative || (limit < INFORMATIVE * found.spread);
@@ -328,7 +401,7 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
 
 /* The residuals of momentum rows. Their right side is zero: the terms that must cancel are used as its spread. */
 static void add_momentum_residuals(const zygos_guard_t *self, const zygos_column_map_t *column_map,
-                                   const zygos_momentum_sums_t *sums, const zygos_momentum_gram_t *rows, finding_t *out)
+                                   const zygos_momentum_sums_t *sums, const zygos_momentum_gram_t *rows, zygos_finding_t *out)
 {
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     for (uint32_t c = 0; c < sums->columns; c++) {
@@ -351,8 +424,8 @@ void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config,
         return;
     }
     const double n = sums->open.instants;
-    finding_t found = { 0.0, 0.0, 0.0, 0.0 };
-    finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+    zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
     add_momentum_residuals(self, column_map, sums, &sums->noise_open, &noise);
     add_momentum_residuals(self, column_map, sums, &sums->open.rows, &found);
     found.residual += noise.residual;
@@ -386,8 +459,8 @@ void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, z
         return;
     }
     const zygos_joint_segment_t *segment = &sums->segment[sums->filling];
-    finding_t found = { 0.0, 0.0, 0.0, 0.0 };
-    finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+    zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
     add_residuals(self, segment->noise.gram, NULL, sums->width - 1u, true, &noise);
     add_residuals(self, segment->rows.gram, NULL, sums->width - 1u, true, &found);
     found.expected = noise.residual + rows * zygos_joint_sums_torque_noise(sums, config);
@@ -417,7 +490,7 @@ void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_mo
     self->dropped = cycle;
 }
 
-static zygos_mean_squares_t mean_squares_of(const finding_t *found, double n)
+static zygos_mean_squares_t mean_squares_of(const zygos_finding_t *found, double n)
 {
     zygos_mean_squares_t out = { 0.0, 0.0 };
     if ((n > 0.0) && (found->residual > 0.0)) {
@@ -432,9 +505,13 @@ static double spread_of_energy(const zygos_accumulator_t *sums)
 {
     double spread = 0.0;
     double n = 0.0;
-    for (uint32_t b = 0; b < sums->open; b++) {
-        spread += sums->block[b].gram[zygos_gram_entries(sums->width - 1u) - 1u];
-        n += sums->block[b].instants;
+    for (uint32_t r = 0; r < sums->open; r++) {
+        const zygos_block_t *block = zygos_accumulator_at(sums, r);
+        const double instants = zygos_accumulator_instants(sums, r);
+        spread += (block->instants > 0.0)
+                      ? instants / block->instants * block->gram[zygos_gram_entries(sums->width - 1u) - 1u]
+                      : 0.0;
+        n += instants;
     }
     return (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
 }
@@ -458,7 +535,7 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
     self->energy.spread = zygos_joint_sums_suffice(config) ? spread_of_joints(joints) : spread_of_energy(energy);
     memset(self->motor, 0, sizeof self->motor);
     for (uint32_t i = 0; i < config->joints; i++) {
-        finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+        zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
         n = 0.0;
         for (uint32_t b = 0; (b < motors->count) && (motors->column_map.count[i] > 0); b++) {
             add_motor_residuals(self, config, column_map, motors, &motors->block[b], i, &found);
@@ -466,7 +543,7 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
         }
         self->motor[i] = mean_squares_of(&found, n);
     }
-    finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
     n = 0.0;
     for (uint32_t b = 0; b < momentum->count; b++) {
         add_momentum_residuals(self, column_map, momentum, &momentum->block[b].rows, &found);

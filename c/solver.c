@@ -429,7 +429,7 @@ static double enlargement(const zygos_work_t *work, uint32_t p, const double *ch
    lose rank leaves all sigmas infinite: the motion was informative once only. */
 static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *covariance)
 {
-    const zygos_block_t *energy_block = &work->accumulator.block[work->blocks.first];
+    const zygos_accumulator_t *energy_sums = &work->accumulator;
     const zygos_motor_block_t *arc = &work->motor_sums.block[work->arcs.first];
     const uint32_t energy_blocks = work->blocks.end - work->blocks.first;
     const zygos_momentum_block_t *momenta = &work->momentum_sums.block[work->momenta.first];
@@ -442,9 +442,10 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     memset(work->information, 0, sizeof work->information);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
         if (b < energy_blocks) {
-            scaled_equations(work, p, &energy_block[b], work->noise_scale);
-            instants += energy_block[b].instants;
-            square += energy_block[b].square;
+            const zygos_block_t *block = zygos_accumulator_at(energy_sums, work->blocks.first + b);
+            scaled_equations(work, p, block, work->noise_scale);
+            instants += block->instants;
+            square += block->square;
         } else if (b >= arcs) {
             scaled_without_group(work, p, b - arcs);
         } else if (b >= energy_and_motors) {
@@ -471,7 +472,7 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
         const bool energy = (b < energy_blocks);
         if (energy) {
-            score(work, p, &energy_block[b], work->right_side);
+            score(work, p, zygos_accumulator_at(energy_sums, work->blocks.first + b), work->right_side);
         } else if (b >= arcs) {
             score_of_group(work, p, b - arcs, work->right_side);
         } else if (b >= energy_and_motors) {
@@ -1007,7 +1008,7 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
     double squares = 0.0;
     double means = 0.0;
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        const zygos_block_t *block = &work->accumulator.block[b];
+        const zygos_block_t *block = zygos_accumulator_at(&work->accumulator, b);
         double sum = block->deviation[p];
         for (uint32_t i = 0; i < p; i++) {
             sum -= work->solution[i] * block->deviation[i];
@@ -1040,8 +1041,8 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
     const zygos_motor_sums_t *joints = &work->motor_sums;
-    const uint64_t after = (first > 0) ? sums->block[first - 1u].end : 0u;
-    const uint64_t until = (end > 0) ? sums->block[end - 1u].end : 0u;
+    const uint64_t after = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->end : 0u;
+    const uint64_t until = (end > 0) ? zygos_accumulator_at(sums, end - 1u)->end : 0u;
     double all = 0.0;
     work->blocks.first = first;
     work->blocks.end = end;
@@ -1060,11 +1061,11 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
     work->joints_weight = 0.0;
     work->joints_used = ((first == 0) && (end == sums->open)) ? 1u : 0u;
     for (uint32_t b = 0; b < sums->open; b++) {
-        all += sums->block[b].instants;
+        all += zygos_accumulator_at(sums, b)->instants;
         for (uint32_t k = 0; (k < at(p + 2u, 0)) && (b >= first) && (b < end); k++) {
-            work->total[k] += sums->block[b].gram[k];
+            work->total[k] += zygos_accumulator_at(sums, b)->gram[k];
         }
-        work->instants += ((b >= first) && (b < end)) ? sums->block[b].instants : 0.0;
+        work->instants += ((b >= first) && (b < end)) ? zygos_accumulator_at(sums, b)->instants : 0.0;
     }
     work->spread = work->total[at(p, p)];
     work->noise_fraction = (all > 0.0) ? work->instants / all : 0.0;
@@ -1256,8 +1257,8 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     memset(out, 0, sizeof *out);
     memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
     for (uint32_t b = 0; b < first; b++) {
-        before += sums->block[b].instants;
-        out->left_out[ZYGOS_ENERGY_ROWS] += (sums->block[b].end != sums->block[b + 1u].end) ? 1u : 0u;
+        before += zygos_accumulator_at(sums, b)->instants;
+        out->left_out[ZYGOS_ENERGY_ROWS] += (zygos_accumulator_at(sums, b)->end != zygos_accumulator_at(sums, b + 1u)->end) ? 1u : 0u;
     }
     out->cycle = work->cycle;
     out->refused = sums->refused;
@@ -1271,7 +1272,7 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
         out->arcs = (uint32_t)work->joint_sums.segments;
         out->blocks = groups_of(&work->joint_sums);
     }
-    out->since = (first > 0) ? sums->block[first - 1u].end : 0u;
+    out->since = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->end : 0u;
     out->consecutive = work->guard.consecutive[ZYGOS_ENERGY_ROWS];
     const bool joints = zygos_joint_sums_suffice(&work->config);
     if (joints) {
@@ -1397,7 +1398,7 @@ static bool may_hold_bad_arcs(const zygos_estimate_t *out)
 static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
 {
     uint32_t b = from;
-    while ((b > 0) && (b < sums->open) && (sums->block[b].end == sums->block[b - 1u].end)) {
+    while ((b > 0) && (b < sums->open) && (zygos_accumulator_at(sums, b)->end == zygos_accumulator_at(sums, b - 1u)->end)) {
         b++;
     }
     return b;
@@ -1411,9 +1412,9 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     double behind = 0.0;
     uint32_t arcs = 0;
     for (uint32_t b = 0; b < sums->open; b++) {
-        const bool last_of_arc = (b + 1u == sums->open) || (sums->block[b + 1u].end != sums->block[b].end);
-        before += (b < first) ? sums->block[b].instants : 0.0;
-        behind += (b < first) ? 0.0 : sums->block[b].instants;
+        const bool last_of_arc = (b + 1u == sums->open) || (zygos_accumulator_at(sums, b + 1u)->end != zygos_accumulator_at(sums, b)->end);
+        before += (b < first) ? zygos_accumulator_at(sums, b)->instants : 0.0;
+        behind += (b < first) ? 0.0 : zygos_accumulator_at(sums, b)->instants;
         arcs += ((b >= first) && last_of_arc) ? 1u : 0u;
     }
     return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
@@ -1572,6 +1573,9 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
     const bool guarded = (work->guard.known != 0);
     const bool joints = (work->config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->config);
+    if (!joints && zygos_accumulator_intact(sums, sums->width - 2u)) {
+        zygos_guard_settle_energy(&work->guard, &work->config, &work->accumulator);
+    }
     work->guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
     if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
@@ -1585,7 +1589,7 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
-    out->cycle = sums->block[sums->newest - 1u].end;
+    out->cycle = zygos_accumulator_at(sums, sums->newest - 1u)->end;
     uint32_t rank = 0;
     double scaled[ZYGOS_MAX_PARAMETERS];
     choose(work, p, 0, sums->newest);

@@ -174,6 +174,7 @@ static uint64_t tables_checksum_of(const zygos_t *self)
     const zygos_momentum_sums_t *momentum = &self->momentum_sums;
     const zygos_joint_sums_t *joints = &self->joint_sums;
     uint64_t sum = zygos_checksum_number(smoother->joints, smoother->window);
+    sum = zygos_checksum_number(sum, self->accumulator.noisy);
     sum = zygos_checksum_memory(sum, &self->column_map, sizeof self->column_map);
     sum = zygos_checksum_memory(sum, &self->geometry, sizeof self->geometry);
     sum = zygos_checksum_memory(sum, smoother->taps, sizeof smoother->taps);
@@ -245,10 +246,8 @@ static bool is_steady(const zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
     const zygos_accumulator_t *sums = &self->accumulator;
-    const uint32_t steps = (sums->filled | sums->shared) / ZYGOS_BUFFER_ROWS; /* which is a power of 2 */
-    const uint32_t off =
-        (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums)) | steps | (sums->filling / 2u);
-    return (off == 0) && (self->smoother.position < self->smoother.window) &&
+    const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums));
+    return (off == 0) && zygos_accumulator_steady(sums) && (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
             (zygos_joint_intact(&self->joint, config) && zygos_joint_sums_steady(&self->joint_sums, config)));
@@ -266,6 +265,7 @@ static void make_tables(zygos_t *self)
     zygos_momentum_sums_tables(&self->momentum_sums, own, &self->smoother);
     zygos_joint_sums_tables(&self->joint_sums, own, &self->column_map, &self->smoother);
     self->accumulator.width = self->column_map.parameters + 2u;
+    self->accumulator.noisy = (own->compensation > 0) ? 1u : 0u;
     self->config_checksum = zygos_checksum_memory(0, own, sizeof *own);
     self->tables_checksum = tables_checksum_of(self);
     self->places = places_of(self);
@@ -326,7 +326,7 @@ static void end_arc(zygos_t *self)
         zygos_accumulator_forget(&self->accumulator, self->forgetting);
     }
     self->forgetting = 1.0;
-    zygos_guard_end_energy(&self->guard, &self->config, &self->accumulator, self->cycle, self->arc);
+    zygos_guard_close_energy(&self->guard, &self->config, &self->accumulator, self->cycle, self->arc);
     self->arc = 0;
 }
 
@@ -454,11 +454,13 @@ static void add_energy(zygos_t *self)
         zygos_reduce(config, &self->column_map, columns.column, self->row.column);
         self->row.work = columns.work;
     }
-    zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
+    zygos_noise_sums_t *noise = &self->accumulator.buffer[self->accumulator.filling].noise;
     const bool whole =
         zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
-                        self->arc, self->arm_state.accepted, self->accumulator.noise.gram, self->accumulator.noise.sum);
+                        self->arc, self->arm_state.accepted, noise->gram, noise->sum);
+    zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
+    zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
     if (!whole) {
         suspect(self);
     }
@@ -560,6 +562,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     make_tables(self);
     self->scrubbed = self->cycle;
     gap(self);
+    zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
     self->instant = 0;
     zygos_receiver_resume(&self->receiver);
     return 1;
@@ -664,6 +667,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
         good = within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && within(wider[i], 0.0, LARGEST_SUM);
     }
     guard->adopting = 1;
+    zygos_guard_settle_energy(guard, &self->config, &self->accumulator);
     if (!good) {
         return 0;
     }
@@ -731,7 +735,6 @@ static uint32_t scrub_places(zygos_t *self)
         found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
     }
     if (!is_steady(self)) {
-        self->accumulator.filling &= 1u;
         drop_open(self);
         found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
     }
@@ -820,6 +823,9 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
         make_tables(self);
     }
     const uint32_t rebuilt = found;
+    if (zygos_accumulator_intact(&self->accumulator, self->column_map.parameters)) {
+        zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+    }
     found |= is_steady(self) ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
     found |= scrub_sums(self);
     found |= scrub_places(self);

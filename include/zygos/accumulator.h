@@ -7,24 +7,29 @@
 /// The sums are divided into blocks; the scatter of the blocks gives the standard deviations. Blocks with sharp ends
 /// would be dominated by these ends, because the noise of a rate adds up to the difference of two angles. Therefore the
 /// blocks overlap: in each segment the weight of one block decreases to 0 and the weight of the next one increases, and
-/// the weights of an instant add up to 1. When all blocks are in use, segments become twice as long, and neighbouring
-/// blocks that fit into one are merged. The division into blocks does not change the total.
+/// the weights of an instant add up to 1. When few blocks are left, neighbouring blocks that fit into one are merged;
+/// when none fit, segments become twice as long. The division into blocks does not change the total.
 ///
-/// The rows of ZYGOS_BUFFER_ROWS instants are summed in a buffer, which is then added to two blocks, a slice in each
-/// cycle. So a cycle costs one rank-1 update and a little more, and all cycles cost the same.
+/// All cycles cost nearly the same. The rows of ZYGOS_BUFFER_ROWS instants are summed in a buffer, which is then added
+/// to two blocks, a slice in each cycle. Everything else that takes time in proportion to a block is a task that
+/// proceeds by a part in each cycle: to verify the blocks of an arc that ended, to eliminate its constant, to compare
+/// it with the running solution (guard.h), to admit it to the closed arcs, to merge two blocks, and to clear one. An arc
+/// is closing from its end until it is admitted. Who reads the sums finishes these tasks on a copy first; the result is
+/// then the same as if they had been finished when the arc ended.
 ///
-/// The bias of the sums by noise (noise.h) is summed separately, and is subtracted from the blocks when a segment ends.
+/// The bias of the sums by noise (noise.h) is summed beside the rows of a buffer, and is subtracted with them.
 ///
 /// Every block contains its row sums: G 1 = sum holds up to rounding, unless memory was corrupted. The other members of
 /// a block of closed arcs, and the members that tell which blocks there are, have a checksum. In the open arc the
 /// number of instants is also in the sums, and the weights are checked against the overlap with the neighbouring
 /// blocks. An arc that fails this test when it closes is dropped. A flipped bit of the members that tell which blocks
-/// there are is found by the checksum, and flipped back. A block that merges or fades keeps a wrong checksum.
+/// there are is found by the checksum, and flipped back. A block that merges keeps a wrong checksum.
 
 #ifndef ZYGOS_ACCUMULATOR_H
 #define ZYGOS_ACCUMULATOR_H
 
 #include "balance.h"
+#include "gram.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -32,8 +37,15 @@ extern "C" {
 #endif
 
 /// The least number of blocks: the scatter of fewer is too uncertain, so blocks are not merged below this number.
-/// Merging must leave two free blocks for an arc that begins; therefore the smallest build has six.
-#define ZYGOS_MIN_BLOCKS ((ZYGOS_MAX_BLOCKS < 10) ? 6u : 8u)
+#define ZYGOS_MIN_BLOCKS ((ZYGOS_MAX_BLOCKS < 16) ? 6u : 8u)
+/// Number of free blocks that are aimed at: two for an arc that begins, and one for the next segment.
+#define ZYGOS_SPARE_BLOCKS 3u
+/// Number of buffers: one is filled, one is added to the blocks, and a third waits after the end of an arc.
+#define ZYGOS_ROW_BUFFERS 3u
+/// Number of cycles in which a task reads or changes each entry of a block once.
+#define ZYGOS_PASS_CYCLES 6u
+/// The least number of entries that it reads or changes in one cycle.
+#define ZYGOS_LEAST_PART 64u
 
 /// One block of the sums.
 typedef struct {
@@ -45,108 +57,186 @@ typedef struct {
     double square;                      ///< Sum of w^2.
     double overlap;                     ///< Sum of w times the weight in the following block.
     uint64_t end;                       ///< Closed arcs: number of the newest cycle.
-    uint64_t checksum;                  ///< Closed arcs: of deviation and the members after it; 0 in the open arc.
+    uint64_t checksum;                  ///< Closed arcs: of deviation and the members after it; otherwise 0.
 } zygos_block_t;
 
-/// The expected sums of products of noise: packed lower triangle of p + 1 rows, the work last, and its row sums.
+/// The expected sums of products of noise: packed lower triangle of p + 1 rows, the work last, and its row sums. As
+/// long as those of a block, so that both are added in the same slices; what is beyond is 0.
 typedef struct {
-    double gram[ZYGOS_MAX_PACKED_ROW];
-    double sum[ZYGOS_MAX_ROW];
+    double gram[ZYGOS_MAX_SLICED_GRAM];
+    double sum[ZYGOS_MAX_SLICED_ROW];
 } zygos_noise_sums_t;
 
 /// The summed rows of ZYGOS_BUFFER_ROWS instants.
 typedef struct {
     double gram[ZYGOS_MAX_SLICED_GRAM];
     double sum[ZYGOS_MAX_SLICED_ROW];
-    double instants; ///< Accepted instants.
+    zygos_noise_sums_t noise; ///< Their noise.
+    double instants;          ///< Accepted instants, while the buffer is filled.
+    double early;             ///< Weight of the older block, from then on.
+    double late;              ///< Weight of the newer block.
+    uint32_t places;          ///< ZYGOS_PLACES() of the two blocks.
+    uint32_t shared;          ///< Slices that have been added; ZYGOS_BUFFER_ROWS: all, or the buffer is filled.
+    uint32_t parity;          ///< That of its arc.
+    uint32_t reserved;
 } zygos_row_buffer_t;
+
+/// The places of two blocks in one number.
+#define ZYGOS_PLACES(first, second) ((first) | ((second) << 8u))
+
+/// What is done beside the rows of a cycle.
+enum zygos_accumulator_task {
+    ZYGOS_TASK_NONE = 0,
+    ZYGOS_TASK_CLEAR = 1,  ///< Clears a free block.
+    ZYGOS_TASK_MERGE = 2,  ///< Adds a block to the one before it.
+    ZYGOS_TASK_VERIFY = 3, ///< Compares a block of the closing arc with its row sums.
+    ZYGOS_TASK_CENTRE = 4, ///< Eliminates the constant from it.
+    ZYGOS_TASK_JUDGE = 5,  ///< Compares it with the running solution (guard.h); after the last one the whole arc.
+    ZYGOS_TASK_ADMIT = 6,  ///< Admits the closing arc with its noise to the closed ones, or leaves it out.
+    ZYGOS_TASKS = 7
+};
 
 /// The normal equations of the energy rows.
 typedef struct {
     uint32_t width;        ///< p + 2.
-    uint32_t count;        ///< Number of blocks in use; those of the open arc are the last.
-    uint32_t open;         ///< First block of the open arc. The blocks before it belong to closed arcs.
+    uint32_t count;        ///< Number of blocks in use: of closed arcs, of the closing one, and of the open one.
+    uint32_t open;         ///< Number of blocks of closed arcs, which are the first.
+    uint32_t fresh;        ///< The first block of the open arc; open, if no arc is closing.
     uint32_t newest;       ///< First block of the newest arcs that have enough instants to be compared.
     uint32_t window;       ///< First block of the arcs after these, which do not have enough yet.
+    uint32_t ready;        ///< Number of free blocks that are cleared; they have the last places in order.
     uint32_t arc_instants; ///< Accepted instants of the open arc.
-    uint32_t arcs;         ///< Arcs that closed with enough instants. This and the next wrap at 2^32.
+    uint32_t arcs;         ///< Arcs that were admitted. This and the next wrap at 2^32.
     uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
     uint32_t corrupt;      ///< 1: the members under the checksum did not match it, and no single bit explains that.
     uint32_t filled;       ///< Instants in the buffer that is being filled, accepted or not.
-    uint32_t filling;      ///< Which of the two buffers is being filled; the other is added to the blocks.
-    uint32_t shared;       ///< Slices of the other one that have been added.
+    uint32_t filling;      ///< Which of the buffers is being filled; the others are added to the blocks.
+    uint32_t parity;       ///< 0 or 1 in turn: which of noise_open is that of the open arc.
+    uint32_t noisy;        ///< 1: noise is declared and subtracted.
     uint32_t quarantined;  ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t twin;         ///< count and open again (ZYGOS_ACCUMULATOR_TWIN), with which each cycle compares them.
-    double enough;         ///< Instants with which arcs are compared.
-    double target;         ///< Length of a segment in instants.
-    double segment;        ///< Accepted instants of the open segment.
-    uint64_t accepted;     ///< Instants in closed arcs and in the open one.
-    uint64_t refused;      ///< Instants that failed the bandwidth test.
-    uint64_t checksum;     ///< Of width, count, open, newest, window, arcs, enough and target.
-    double early;          ///< Weight of the older block in the buffer that is added.
-    double late;           ///< Weight of the newer block.
-    zygos_row_buffer_t buffer[2];
-    zygos_noise_sums_t noise;      ///< Noise of the open segment, not yet subtracted.
-    zygos_noise_sums_t noise_open; ///< Noise of the other segments of the open arc, subtracted.
-    zygos_noise_sums_t
-        noise_closed; ///< Noise of closed arcs, subtracted; reduced in proportion when an arc is dropped.
+    uint32_t twin;         ///< ZYGOS_ACCUMULATOR_TWIN, with which each cycle compares the members in it.
+    uint32_t task;         ///< enum zygos_accumulator_task.
+    uint32_t places;       ///< The block of the task, and the one that is added to it.
+    uint32_t row;          ///< The next row of the task.
+    uint32_t rank;         ///< The next block of the closing arc.
+    uint32_t whole;        ///< 1: all that was verified of the closing arc matches.
+    uint32_t admitted;     ///< 1: the closing arc is admitted.
+    uint32_t closing_instants; ///< Accepted instants of the closing arc.
+    uint32_t closing_cycles;   ///< Its cycles.
+    uint32_t reserved;
+    uint64_t closing_end; ///< The number of its newest cycle.
+    double enough;        ///< Instants with which arcs are compared.
+    double target;        ///< Length of the next segment in instants.
+    double length;        ///< Length of the open segment.
+    double segment;       ///< Accepted instants of the open segment.
+    uint64_t accepted;    ///< Instants in closed arcs, in the closing one and in the open one.
+    uint64_t refused;     ///< Instants that failed the bandwidth test.
+    uint64_t checksum;    ///< Of width, count, open, fresh, newest, window, ready, arcs, enough, target, noise_fade, order
+                          ///< and fade.
+    double noise_fade;    ///< Factor of noise_closed.
+    double overlap;       ///< What the block of the task shares with the block before it.
+    double mean[ZYGOS_MAX_ROW]; ///< Of the closing arc.
+    zygos_gram_scan_t scan;     ///< Row sums of the block that is verified.
+    zygos_row_buffer_t buffer[ZYGOS_ROW_BUFFERS];
+    zygos_noise_sums_t noise_open[2]; ///< Noise of the open and of the closing arc, subtracted from their blocks.
+    zygos_noise_sums_t noise_closed;  ///< Noise of closed arcs, subtracted; reduced in proportion when an arc is
+                                      ///< dropped. Without the factor noise_fade.
+    double fade[ZYGOS_MAX_BLOCKS];    ///< Factors of the blocks (exponential forgetting), by place.
+    uint8_t order[ZYGOS_ORDER_PLACES]; ///< The places of the blocks in order of time, then those of free blocks.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
-/// count and open in one number. There are at most 256 blocks.
-#define ZYGOS_ACCUMULATOR_TWIN(self) ((self)->count ^ (((self)->open << 16u) | ((self)->open >> 16u)))
+/// The members with which a cycle addresses blocks, in one number.
+#define ZYGOS_ACCUMULATOR_TWIN(self)                                                                                   \
+    ((self)->count ^ (self)->open ^ (self)->fresh ^ (self)->ready ^ (self)->task ^ (self)->places ^                    \
+     (self)->buffer[0].places ^ (self)->buffer[1].places ^ (self)->buffer[2].places)
 
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
 
-/// Adds one instant with weight 1 (accepted) or 0 (refused); the instructions are the same. Cost: one rank-1 update of
-/// (p+2)(p+3)/2 entries, and the addition of that number / ZYGOS_BUFFER_ROWS to the blocks; when an arc begins or a
-/// segment has ended, also the opening of the next segment, in the worst case one merge of all blocks. The caller adds
-/// the noise of this instant to self->noise after this call.
+/// Adds one instant with weight 1 (accepted) or 0 (refused); the instructions are the same. The caller has added the
+/// noise of this instant to the noise of the buffer that is being filled. Cost: one rank-1 update of (p+2)(p+3)/2
+/// entries, the addition of that number / ZYGOS_BUFFER_ROWS to the blocks, twice as much in the first
+/// ZYGOS_BUFFER_ROWS instants of an arc, and a part of a task, of that number / ZYGOS_PASS_CYCLES entries.
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
 
-/// Adds the content of both buffers to the blocks. Cost: one pass over each of them.
+/// Adds the content of all buffers to the blocks. Cost: one pass over each of them.
 void zygos_accumulator_flush(zygos_accumulator_t *self);
 
-/// Ends the open arc, whose newest cycle is given: eliminates its constant, or drops it when it is too short. Cost: one
-/// pass over its blocks.
+/// Ends the open arc: it is closing from then on, or dropped when it is too short, and then false is returned. Needs
+/// that no arc is closing. cycle: its newest cycle. cycles: their number. Cost: a few instructions for each block.
+bool zygos_accumulator_close(zygos_accumulator_t *self, uint64_t cycle, uint32_t cycles);
+
+/// Returns whether an arc is closing.
+bool zygos_accumulator_closing(const zygos_accumulator_t *self);
+
+/// Proceeds with the task, or begins the next one. ZYGOS_TASK_JUDGE is that of the caller, who ends it by one of the
+/// next two functions: this one does nothing then. Cost: a part of a pass over a block.
+void zygos_accumulator_proceed(zygos_accumulator_t *self);
+
+/// Returns the row before which the next part of the task ends, with so many times the usual number of entries.
+uint32_t zygos_accumulator_part(const zygos_accumulator_t *self, uint32_t times);
+
+/// Ends ZYGOS_TASK_JUDGE of one block of the closing arc, and with it that of the whole arc, which is admitted or not.
+void zygos_accumulator_judged_block(zygos_accumulator_t *self);
+void zygos_accumulator_judged_arc(zygos_accumulator_t *self, bool admitted);
+
+/// Returns whether there is a task, or an arc is closing.
+bool zygos_accumulator_busy(const zygos_accumulator_t *self);
+
+/// Adds what waits in full buffers to the blocks. Cost: at the most one pass over two buffers.
+void zygos_accumulator_share_out(zygos_accumulator_t *self);
+
+/// Finishes the tasks, and admits the closing arc unless it does not match its row sums. Cost: a few passes over the
+/// blocks of the closing arc.
+void zygos_accumulator_settle(zygos_accumulator_t *self);
+
+/// Ends the open arc and settles.
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
 
-/// The same in two calls. The first eliminates the constant and returns true, or drops an arc that is too short and
-/// returns false. The closed arc is then in the blocks from self->open on, and its noise in self->noise_open. The
-/// second call either admits it to the closed arcs or leaves it out.
-bool zygos_accumulator_close(zygos_accumulator_t *self);
-void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle);
-void zygos_accumulator_leave_out(zygos_accumulator_t *self);
-
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: one pass over their blocks.
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: one multiplication for each block.
 void zygos_accumulator_forget(zygos_accumulator_t *self, double factor);
 
 /// Drops the open arc, and the blocks of closed arcs with cycles after the given one. A block in which such cycles were
-/// merged with older ones is dropped as a whole. Cost: one pass over the noise of closed arcs.
+/// merged with older ones is dropped as a whole. Cost: at the most one pass over a block, and one over the noise of the
+/// open arc.
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 
 /// Drops the blocks of closed arcs up to the given cycle, and their share of the noise. Returns the number of arcs,
-/// counting merged arcs as one. Cost: one move of the other blocks.
+/// counting merged arcs as one. Needs that no arc is closing. Cost: at the most one pass over a block.
 uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle);
 
 /// Returns whether every index, count and length is possible for p parameters. The other functions rely on that and do
 /// not check it. Reads nothing outside the struct, whatever its content is. Cost: a few comparisons for each block.
 bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters);
 
+/// Returns whether a cycle addresses nothing outside the struct. Cost: a few comparisons.
+bool zygos_accumulator_steady(const zygos_accumulator_t *self);
+
 /// Drops each block of closed arcs that does not match its row sums or its checksum, and the open arc where its sums do
 /// not match; repairs a flipped bit of the members that tell which blocks there are. Returns false, and changes only
-/// these, when the rest cannot be repaired: then initialise it. Needs a width that matches the configuration. Cost: one
-/// pass over the sums.
+/// these, when the rest cannot be repaired: then initialise it. Needs a width that matches the configuration. The tasks
+/// should have been finished. Cost: one pass over the sums.
 bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters);
+
+/// Multiplies each block and the noise of closed arcs by its factor, which is 1 then. Cost: one pass over the blocks of
+/// which the factor is not 1.
+void zygos_accumulator_apply_fade(zygos_accumulator_t *self);
 
 /// Sums the blocks of closed arcs into gram (packed as in a block, width self->width).
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram);
 
 /// Returns the largest violation of G 1 = sum over all blocks in units of its tolerance (gram.h), or 2 when an arc was
-/// corrupt when it closed. Above 1 means corrupt. Needs zygos_accumulator_intact(). The buffers are not checked before
-/// zygos_accumulator_flush().
+/// corrupt when it closed. Above 1 means corrupt. Needs zygos_accumulator_intact(), and finished tasks. The buffers are
+/// not checked before zygos_accumulator_flush().
 double zygos_accumulator_check(const zygos_accumulator_t *self);
+
+/// Returns the instants of the block of that rank, times its factor.
+double zygos_accumulator_instants(const zygos_accumulator_t *self, uint32_t rank);
+
+/// Return the block of that rank in order of time, which is below self->count.
+zygos_block_t *zygos_accumulator_block(zygos_accumulator_t *self, uint32_t rank);
+const zygos_block_t *zygos_accumulator_at(const zygos_accumulator_t *self, uint32_t rank);
 
 #ifdef __cplusplus
 }

@@ -27,6 +27,17 @@ void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum);
 /// width: at most ZYGOS_MAX_ROW.
 double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds);
 
+/// The same in parts. Scan the rows from first to before end, in order; the scan is all zero before the first.
+/// zygos_gram_scanned() returns what zygos_gram_check() does.
+typedef struct {
+    double sum[ZYGOS_MAX_ROW];  ///< Row sums of the rows so far.
+    double most[ZYGOS_MAX_ROW]; ///< The largest magnitude in each row.
+    double largest;             ///< In all of them.
+} zygos_gram_scan_t;
+void zygos_gram_scan(zygos_gram_scan_t *scan, const double *gram, uint32_t first, uint32_t end);
+double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uint32_t width, const double *sum,
+                          double adds);
+
 /// Return a checksum that is continued with another number, with n doubles, or with bytes of memory. It protects data
 /// that change seldom and have no row sums. One flipped bit in any of them always changes it. Cost: one multiplication
 /// for each word of eight bytes.

@@ -70,6 +70,14 @@ typedef struct {
     double spread;
 } zygos_mean_squares_t;
 
+/// Comparison of the rows of an arc with the running solution.
+typedef struct {
+    double residual;    ///< Sum of the squared residuals, including noise.
+    double expected;    ///< Its expected value by the declared noise.
+    double uncertainty; ///< Its expectation for an error of the solution of one standard deviation.
+    double spread;      ///< Sum of the squares of the right side.
+} zygos_finding_t;
+
 /// The running solution, and the arcs that were excluded.
 typedef struct {
     uint32_t known;      ///< 1: there is a running solution.
@@ -77,7 +85,7 @@ typedef struct {
     uint32_t changed;    ///< 1: so many consecutive arcs contradict that the arm has changed.
     uint32_t lost;       ///< Number of times the running solution was found corrupt and was discarded.
     uint32_t adopting;   ///< 1: zygos_adopt() was called, with whatever result.
-    uint32_t reserved;
+    uint32_t comparing;  ///< 1: the closing arc of energy rows is compared with the running solution.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS];        ///< Number of excluded arcs, by enum zygos_rows.
     uint32_t consecutive[ZYGOS_KINDS_OF_ROWS];     ///< Number of consecutive newest arcs among them.
     double instants[ZYGOS_KINDS_OF_ROWS];          ///< Instants of the consecutive arcs.
@@ -87,6 +95,12 @@ typedef struct {
     uint64_t since;                                ///< Estimates up to this cycle belong to another arm.
     uint64_t agreed;                               ///< The newest cycle before the consecutive segments of joint rows.
     uint64_t dropped;                          ///< Sums up to this cycle were dropped, because they contained bad arcs.
+    zygos_finding_t rows;                      ///< Of the blocks of the closing arc that were compared.
+    zygos_finding_t noise;                     ///< Of its noise.
+    zygos_finding_t blocks;                    ///< Of the sums of residuals of its blocks.
+    double share;                              ///< Sum over its blocks of instants^2 / square.
+    double compared;                           ///< Number of its blocks.
+    double walk;                               ///< Uncertainty of the sum of residuals of a block.
     zygos_left_out_t newest[ZYGOS_GUARD_ARCS]; ///< Excluded arc number k is at k % ZYGOS_GUARD_ARCS.
     uint64_t checksum;                         ///< Of the members after it, which only zygos_adopt() writes.
     double noise_ratio;                        ///< 0 where no noise is declared.
@@ -121,9 +135,22 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
 /// times ZYGOS_GUARD_MARGIN: the limit of a mean square of so many independent rows in units of its expectation.
 double zygos_guard_chi_square_limit(double freedom);
 
-/// These end the open arc of the energy, motor or momentum rows: the arc is added to the sums, as by
-/// zygos_accumulator_end_arc() and the functions like it, unless it contradicts the running solution. cycle: the newest
-/// cycle of the arc. cycles: their number. Cost: that of those functions, and two passes over the sums of the arc.
+/// Ends the open arc of the energy rows, which is closing from then on. cycle: its newest cycle. cycles: their number.
+/// Cost: a few instructions for each block; if the arc before it is still closing, also what is left of that.
+void zygos_guard_close_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
+                              uint64_t cycle, uint32_t cycles);
+
+/// Proceeds with the comparison of the closing arc, if it is its turn (ZYGOS_TASK_JUDGE). An arc that contradicts the
+/// running solution is left out. Cost: a part of a pass over a block; for the first block, also one over the running
+/// solution.
+void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums);
+
+/// Finishes the tasks of the accumulator. Cost: a few passes over the blocks of the closing arc.
+void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums);
+
+/// These end the open arc of the energy, motor or momentum rows: the arc is added to the sums unless it contradicts the
+/// running solution. cycle: the newest cycle of the arc. cycles: their number. Cost: a few passes over the sums of the
+/// arc.
 void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
                             uint64_t cycle, uint32_t cycles);
 void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,

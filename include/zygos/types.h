@@ -38,11 +38,14 @@ extern "C" {
 /// The number of blocks into which the normal equations are divided; the standard deviations are computed from the
 /// scatter of the blocks. It must be even.
 #ifndef ZYGOS_MAX_BLOCKS
-#define ZYGOS_MAX_BLOCKS 64
+#define ZYGOS_MAX_BLOCKS 32
 #endif
-#if (ZYGOS_MAX_BLOCKS < 8) || (ZYGOS_MAX_BLOCKS > 256) || (ZYGOS_MAX_BLOCKS % 2 != 0)
-#error "ZYGOS_MAX_BLOCKS must be even, 8..256"
+#if (ZYGOS_MAX_BLOCKS < 12) || (ZYGOS_MAX_BLOCKS > 128) || (ZYGOS_MAX_BLOCKS % 2 != 0)
+#error "ZYGOS_MAX_BLOCKS must be even, 12..128"
 #endif
+
+/// The length of an array of places of blocks: whole words of eight bytes.
+#define ZYGOS_ORDER_PLACES ((ZYGOS_MAX_BLOCKS + 7) / 8 * 8)
 
 /// The number of complete cycles that may wait between zygos_frame() and zygos_step(), including the one that
 /// zygos_step() processes.

@@ -128,7 +128,7 @@ def test_every_public_function_is_described() -> None:
     [
         ["-DZYGOS_MAX_JOINTS=1"],
         ["-DZYGOS_MAX_JOINTS=2"],
-        ["-DZYGOS_MAX_BLOCKS=8"],
+        ["-DZYGOS_MAX_BLOCKS=12"],
         ["-DZYGOS_MAX_HALF_WIDTH=2"],
         ["-DZYGOS_MAX_EFFECTS=0"],
         ["-DZYGOS_SPATIAL=0"],

@@ -189,7 +189,7 @@ def unlinked(said: str) -> str:
     return found[1]
 
 
-@pytest.mark.parametrize("other", ["-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=8", "-DZYGOS_CYCLE_QUEUE=16"])
+@pytest.mark.parametrize("other", ["-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=12", "-DZYGOS_CYCLE_QUEUE=16"])
 def test_a_caller_with_other_capacities_does_not_link(other: str, installed: Path, outside: Path) -> None:
     name = other.partition("=")[0]
     mine = [word for word in flags(installed, "--cflags") if not word.startswith(name)]

@@ -18,7 +18,7 @@ MILLION = 1_000_000
 )
 def test_what_a_frame_may_change(tmp_path: Path, seed: int, joints: int, fine: int, frames: int) -> None:
     # few blocks of planar arms keep it small
-    program = build(tmp_path, "fuzz_frames", MAX_JOINTS=joints, MAX_BLOCKS=8, SPATIAL=0)
+    program = build(tmp_path, "fuzz_frames", MAX_JOINTS=joints, MAX_BLOCKS=12, SPATIAL=0)
     found = counts(program, seed, frames, joints, fine)
     assert found["foreign"] + found["accepted"] + found["rejected"] >= frames
     missed = [name for name, count in found.items() if count == 0]

@@ -52,8 +52,8 @@ class Build:
 
 
 PAPER = Build("two joints", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
-SPATIAL = Build("three joints in space", ("-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=8"))
-SEVEN = Build("seven joints in space", ("-DZYGOS_MAX_JOINTS=7", "-DZYGOS_MAX_BLOCKS=8"))
+SPATIAL = Build("three joints in space", ("-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=12"))
+SEVEN = Build("seven joints in space", ("-DZYGOS_MAX_JOINTS=7", "-DZYGOS_MAX_BLOCKS=12"))
 
 
 PATIENT = Build("two joints, long queue", (*PAPER.defines, "-DZYGOS_CYCLE_QUEUE=1024"))

@@ -27,6 +27,21 @@ CHOSEN = {
 """Physical parameters of a two-joint arm."""
 
 
+def flushed(flight: Flight) -> Any:
+    """A copy of the sums in which no task is open and nothing waits in buffers: zygos_work_t."""
+    work = ffi.new("zygos_work_t *")
+    lib.zygos_take(flight.native, work)
+    sums = ffi.addressof(work.accumulator)
+    lib.zygos_accumulator_settle(sums)
+    lib.zygos_accumulator_flush(sums)
+    return work
+
+
+def arcs_of(flight: Flight) -> int:
+    """The arcs that have ended and were admitted, that one which is closing included."""
+    return int(flushed(flight).accumulator.arcs)
+
+
 def energy_only(arm: Arm, *, noise: bool = False) -> Arm:
     """The arm as the records of `balanced` want it: with energy rows only, and without noise unless there is some.
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from zygos.arm import Arm
 from zygos.model.model import Model
-from zygos.native.flight import Flight
+from zygos.native.flight import Flight, ffi
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
@@ -52,7 +53,26 @@ def instants(flight: Flight) -> dict[str, list[float]]:
     """Of the blocks of closed arcs."""
     energy, motors, momentum = flight.native.accumulator, flight.native.motor_sums, flight.native.momentum_sums
     return {
-        "energy": [energy.block[b].instants for b in range(energy.open)],
+        "energy": [energy.fade[place] * energy.block[place].instants for place in energy.order[0 : energy.open]],
         "motors": [motors.block[b].total for b in range(motors.count)],
         "momentum": [momentum.block[b].instants for b in range(momentum.count)],
     }
+
+
+def resealed(sums: Any) -> int:
+    """The checksum over what tells which blocks there are, once more and in Python."""
+    energy = hasattr(sums, "enough")
+    lengths = [sums.enough, sums.target] if energy else [sums.target]
+    words = np.array(lengths).view(np.uint64).tolist()
+    if energy:
+        names = ("width", "count", "open", "fresh", "newest", "window", "ready", "arcs")
+        words += [getattr(sums, name) for name in names]
+        words += np.array([sums.noise_fade]).view(np.uint64).tolist()
+        for array in (sums.order, sums.fade):
+            words += np.frombuffer(ffi.buffer(array), dtype=np.uint64).tolist()
+    else:
+        words.append(sums.count)
+    checksum = 0
+    for word in words:
+        checksum = (checksum ^ int(word)) * 0x100000001B3 % 2**64
+    return checksum

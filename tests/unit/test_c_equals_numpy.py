@@ -145,9 +145,8 @@ def test_the_record_is_one_from_which_the_parameters_come_back(both: Both) -> No
 def overlapping(both: Both) -> tuple[Floats, Floats]:
     """Weights (K, m) of the accepted rows in blocks, and what noise adds to each block's squares (K, p+1, p+1).
 
-    In each segment of an arc one block fades out and the next fades in, from one step of instants to the next. Of a
-    segment's noise each has its share of the segment's instants; that of a step goes to the segment that was open
-    while the step filled.
+    In each segment of an arc one block fades out and the next fades in, from one step of instants to the next. A step
+    that the end of the arc cuts short begins no segment. The noise of a step has the weights of the step.
     """
     arm, chain = both.arm, both.chain
     design, balance = chain.design, chain.balance
@@ -163,26 +162,21 @@ def overlapping(both: Both) -> tuple[Floats, Floats]:
         place = np.where(good, np.flatnonzero(design.arc == arc)[0] + np.cumsum(good) - 1, -1)
         weights.append(np.zeros(len(design.w)))
         noise.append(np.zeros_like(design.noise))
-        begins: list[int] = []  # of the noise of each segment
-        rising: list[float] = []
         held = longest
         for start in range(0, len(rows), STEP):
             step = slice(start, start + STEP)
-            if held >= longest:
+            if held >= longest and (start == 0 or start + STEP <= len(rows)):
                 weights.append(np.zeros(len(design.w)))
-                begins.append(min(start + STEP - 1, len(rows)) if begins else 0)
-                rising.append(0.0)
+                noise.append(np.zeros_like(design.noise))
                 held = 0
             mine = place[step][good[step]]
             late = min(1.0, (held + 0.5 * len(mine)) / longest)
-            weights[-2][mine], weights[-1][mine] = 1.0 - late, late
-            rising[-1] = (rising[-1] * held + late * len(mine)) / max(1, held + len(mine))
-            held += len(mine)
-        for begin, end, share in zip(begins, [*begins[1:], len(rows)], rising, strict=True):
-            counted = rows[begin:end][good[begin:end]]
+            counted = rows[step][good[step]]
             added = moments(arm, known, here.at(counted), since_origin[counted])
-            noise[-1] += (1.0 - share) * added
-            noise.append(share * added)
+            weights[-2][mine], weights[-1][mine] = 1.0 - late, late
+            noise[-2] += (1.0 - late) * added
+            noise[-1] += late * added
+            held += len(mine)
     return np.array(weights), np.array(noise)
 
 

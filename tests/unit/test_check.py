@@ -99,6 +99,10 @@ def changed(path: str, change: Callable[[Any], Any]) -> Callable[[Any], None]:
     return apply
 
 
+def _fills(native: Any) -> None:
+    native.accumulator.buffer[native.accumulator.filling].gram[0] += 1.0
+
+
 CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {
     "magic": (changed("magic", lambda x: x ^ 4), lib.ZYGOS_E_ORDER),
     "gear ratio": (changed("config.joint[1].gear_ratio", lambda x: 2 * x), lib.ZYGOS_E_CONFIG),
@@ -108,7 +112,7 @@ CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {
     "columns of motor rows": (changed("motor_sums.column_map.count[0]", lambda x: x + 1), lib.ZYGOS_E_STATE),
     "columns of momentum rows": (changed("momentum_sums.columns", lambda x: x + 1), lib.ZYGOS_E_STATE),
     "closed block": (changed("accumulator.block[0].gram[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
-    "buffer that waits": (changed("accumulator.buffer[0].gram[0]", lambda x: 2 * x + 1), lib.ZYGOS_E_SUMS),
+    "buffer that fills": (_fills, lib.ZYGOS_E_SUMS),
     "noise": (changed("accumulator.noise_closed.gram[0]", lambda x: x + 1.0), lib.ZYGOS_E_SUMS),
     "instants of the arc": (changed("accumulator.arc_instants", lambda x: x ^ 8), lib.ZYGOS_E_SUMS),
     "motor rows": (changed("motor_sums.block[0].joint[1].sum[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from flight_support import part
 from numpy.typing import NDArray
-from soak_support import again, fly, instants, stored, with_all_rows
+from soak_support import again, fly, instants, resealed, stored, with_all_rows
 
 from zygos.arm import Arm
 from zygos.model.model import Model
@@ -129,22 +129,11 @@ def test_a_target_that_has_grown_for_years_is_no_reason_to_refuse(arm: Arm, moti
     restarted: Any = getattr(flight.native, kind)
     while restarted.target < DIGITS // 4:
         restarted.target *= 2.0
-    sealed_like_a_library(flight, kind)
+    restarted.checksum = resealed(restarted)
     fly(flight, motion, 12, rng)
     estimate = flight.estimate()
     assert estimate.reason != "the accumulated sums are corrupt: memory was changed from outside"
     assert restarted.target < DIGITS
-
-
-def sealed_like_a_library(flight: Flight, kind: str) -> None:
-    """The checksum of a head, once more and in Python."""
-    sums = getattr(flight.native, kind)
-    lengths = [sums.enough, sums.target] if kind == "accumulator" else [sums.target]
-    names = ["width", "count", "open", "newest", "window", "arcs"] if kind == "accumulator" else ["count"]
-    checksum = 1 if kind == "accumulator" else 0
-    for word in [*np.array(lengths).view(np.uint64).tolist(), *(getattr(sums, name) for name in names)]:
-        checksum = (checksum ^ int(word)) * 0x100000001B3 % WORD
-    sums.checksum = checksum
 
 
 @pytest.mark.parametrize("keep", [0.9, 0.99, 0.9999])

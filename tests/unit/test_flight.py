@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import CHOSEN, arcs, balanced, bytes_of, chosen, energy_only, joined, part, sines, traced
+from flight_support import (
+    CHOSEN, arcs, arcs_of, balanced, bytes_of, chosen, energy_only, flushed, joined, part, sines, traced,
+)  # fmt: skip
 from numpy.typing import NDArray
 from reference_support import make_arm
 
@@ -290,7 +292,7 @@ def test_longest_arc(arm: Arm) -> None:
     origins = np.flatnonzero((rows[:, -1] == 0.0) & (rows[:, arm.parameter_names.index("b1")] == 0.0))
     assert origins.tolist() == [0, 100, 200, 300]
     flight = fed(arm, sines(arm, 350))
-    assert flight.native.accumulator.arcs == 3
+    assert arcs_of(flight) == 3
     assert flight.counts["accepted"] == 350 - fill(arm)
     assert flight.estimate().arcs == 4  # the open one included
 
@@ -323,7 +325,7 @@ def test_a_gap_ends_the_arc_and_fills_again(arm: Arm, how: str) -> None:
     assert counts["gaps"] == 1
     assert counts["invalid"] == int(lost)
     assert counts["cycles"] == len(cycles) - int(lost)
-    assert flight.native.accumulator.arcs == 1
+    assert arcs_of(flight) == 1
     same_sums(flight, trace)
 
 
@@ -358,7 +360,7 @@ def test_an_angle_that_wraps_ends_the_arc(arm: Arm, signal: str) -> None:
         assert (flight.counts["wraps"], flight.counts["gaps"]) == (wraps, wraps)
         assert trace.instant[100] == (not wraps)
         if wraps:
-            assert flight.native.accumulator.arcs == 1
+            assert arcs_of(flight) == 1
 
 
 def test_a_wrap_across_a_gap_is_the_gap(arm: Arm) -> None:
@@ -402,7 +404,7 @@ def test_refused_instants_have_no_weight_but_the_arc_runs_on(arm: Arm) -> None:
     assert set(refused) <= set(range(300, 300 + arm.smoother.points))
     assert 0 < len(refused) == flight.counts["refused"] == flight.estimate().refused
     assert flight.counts["accepted"] == 600 - fill(arm) - len(refused)
-    assert flight.native.accumulator.arcs == 0
+    assert arcs_of(flight) == 0
     assert flight.counts["gaps"] == 0
     same_sums(flight, trace)
 
@@ -429,12 +431,9 @@ def constant(arm: Arm, first: int, n: int) -> Cycles:
     )
 
 
-def flushed(flight: Flight) -> Any:
-    """A copy of the sums in which nothing waits in steps: zygos_work_t."""
-    work = ffi.new("zygos_work_t *")
-    lib.zygos_take(flight.native, work)
-    lib.zygos_accumulator_flush(ffi.addressof(work.accumulator))
-    return work
+def instants_of(accumulator: Any) -> list[float]:
+    """Of the blocks, in order of time."""
+    return [accumulator.block[place].instants for place in accumulator.order[0 : accumulator.count]]
 
 
 LONG_RUN = """
@@ -453,8 +452,9 @@ for first in range(1, 1_000_000, n):
     flight.cycles(Cycles(sync, q, theta, tau, np.full((n, 3), 0.0123), np.zeros(n, dtype=np.uint32)))
 lib.zygos_take(flight.native, work)
 sums = work.accumulator
+lib.zygos_accumulator_settle(ffi.addressof(sums))
 lib.zygos_accumulator_flush(ffi.addressof(sums))
-print(lib.zygos_accumulator_check(ffi.addressof(sums)), *(sums.block[b].instants for b in range(sums.count)))
+print(lib.zygos_accumulator_check(ffi.addressof(sums)), *(sums.block[b].instants for b in sums.order[0 : sums.count]))
 """
 
 
@@ -489,7 +489,7 @@ def test_blocks_merge_and_lose_nothing(arm: Arm, arc_s: float, cycles: int) -> N
         accumulator = work.accumulator
         assert 1 <= accumulator.count <= MAX_BLOCKS
         assert accumulator.open <= accumulator.count
-        instants = [accumulator.block[b].instants for b in range(accumulator.count)]
+        instants = instants_of(accumulator)
         # an instant's weights in the two blocks that it is in add up to 1
         assert sum(instants) == pytest.approx(accumulator.accepted, rel=1e-12)
         assert accumulator.accepted == sum(accepted)
@@ -731,15 +731,20 @@ def sums_of_every_kind() -> tuple[Arm, Cycles]:
     return arm, part(run.cycles(0), 0, 1106)
 
 
+def block_of(native: Any, rank: int) -> Any:
+    """A block, by its rank in order of time."""
+    return native.accumulator.block[native.accumulator.order[rank]]
+
+
 SUMS: dict[str, Callable[[Any], Any]] = {
-    "first closed block": lambda native: native.accumulator.block[0],
-    "last closed block": lambda native: native.accumulator.block[native.accumulator.open - 1],
-    "first open block": lambda native: native.accumulator.block[native.accumulator.open],
-    "newest block": lambda native: native.accumulator.block[native.accumulator.count - 1],
+    "first closed block": lambda native: block_of(native, 0),
+    "last closed block": lambda native: block_of(native, native.accumulator.open - 1),
+    "first open block": lambda native: block_of(native, native.accumulator.fresh),
+    "newest block": lambda native: block_of(native, native.accumulator.count - 1),
     "buffer that fills": lambda native: native.accumulator.buffer[native.accumulator.filling],
-    "buffer that is shared out": lambda native: native.accumulator.buffer[1 - native.accumulator.filling],
-    "noise of the segment": lambda native: native.accumulator.noise,
-    "noise of the arc": lambda native: native.accumulator.noise_open,
+    "buffer that is shared out": lambda native: native.accumulator.buffer[(native.accumulator.filling + 2) % 3],
+    "noise of that buffer": lambda native: native.accumulator.buffer[(native.accumulator.filling + 2) % 3].noise,
+    "noise of the arc": lambda native: native.accumulator.noise_open[native.accumulator.parity],
     "noise of closed arcs": lambda native: native.accumulator.noise_closed,
     "motor rows of a closed arc": lambda native: native.motor_sums.block[1].joint[1],
     "motor rows of the open arc": lambda native: native.motor_sums.open.joint[0],
@@ -772,7 +777,7 @@ def test_a_flipped_bit_in_the_sums_is_refused(place: str, entries: str, bit: int
     [
         *(
             f"accumulator.{name}"
-            for name in ("width", "count", "open", "newest", "window", "filling", "filled", "shared")
+            for name in ("width", "count", "open", "fresh", "newest", "window", "ready", "filling", "filled", "parity")
         ),
         *("motor_sums.count", "motor_sums.column_map.count[0]", "motor_sums.column_map.effect[1][0]"),
         *(f"momentum_sums.{name}" for name in ("columns", "components", "count")),

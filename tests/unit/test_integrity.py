@@ -43,7 +43,7 @@ def flight(arm: Arm, motion: Cycles) -> Flight:
     assert sums.accumulator.target > 24.0  # the least segment
     assert sums.motor_sums.block[0].total > sums.config.impulse_arc_cycles
     assert sums.momentum_sums.block[0].instants > sums.config.momentum_arc_cycles
-    assert sums.accumulator.count >= sums.accumulator.open + 3
+    assert sums.accumulator.count >= sums.accumulator.fresh + 3
     return out
 
 
@@ -97,11 +97,11 @@ def flip(flight: Flight, listed: Sequence[Word], bits: Sequence[int], *, silent:
 def blocks(flight: Flight, kind: str) -> list[tuple[str, Any]]:
     """The first, one in the middle and the last of the closed arcs; and those of the open arc."""
     sums = getattr(flight.native, kind)
-    closed = sums.open if kind == "accumulator" else sums.count
-    listed = [(f"{kind}.block[{b}]", sums.block[b]) for b in (0, closed // 2, closed - 1)]
     if kind != "accumulator":
+        listed = [(f"{kind}.block[{b}]", sums.block[b]) for b in (0, sums.count // 2, sums.count - 1)]
         return [*listed, (f"{kind}.open", sums.open)]
-    return listed + [(f"{kind}.block[{b}]", sums.block[b]) for b in (sums.open, sums.open + 1, sums.count - 1)]
+    ranks = (0, sums.open // 2, sums.open - 1, sums.fresh, sums.fresh + 1, sums.count - 1)
+    return [(f"{kind}.block[{sums.order[r]}]", sums.block[sums.order[r]]) for r in ranks]
 
 
 SMALL = {
@@ -146,13 +146,17 @@ def test_what_says_which_blocks_there_are(flight: Flight) -> None:
     """Of places and lengths, and of the segment and the step that fill."""
     energy, motors, momentum = (getattr(flight.native, kind) for kind in SMALL)
     listed = [
-        *words(flight, "accumulator", energy, ["width", "count", "open", "newest", "window", "arcs", "arc_instants"]),
+        *words(flight, "accumulator", energy, ["width", "count", "open", "fresh", "newest", "window"]),
+        *words(flight, "accumulator", energy, ["ready", "arcs", "arc_instants", "task", "places", "order", "noise_fade"]),
         *words(
-            flight, "accumulator", energy, ["corrupt", "filled", "filling", "shared", "enough", "target", "segment"]
+            flight, "accumulator", energy, ["corrupt", "filled", "filling", "parity", "enough", "target", "segment"]
         ),
-        *words(flight, "accumulator", energy, ["early", "late", "accepted", "refused", "checksum"]),
-        *words(flight, "accumulator", energy.buffer[0], ["instants"]),
-        *words(flight, "accumulator", energy.buffer[1], ["instants"]),
+        *words(flight, "accumulator", energy, ["length", "accepted", "refused", "checksum"]),
+        *(
+            word
+            for b in range(3)
+            for word in words(flight, "accumulator", energy.buffer[b], ["instants", "early", "late", "places", "shared"])
+        ),
         *words(flight, "motor_sums", motors, ["count", "corrupt", "instants", "cycles", "target", "checksum"]),
         *words(flight, "momentum_sums", momentum, ["columns", "components", "signals", "count", "corrupt"]),
         *words(flight, "momentum_sums", momentum, ["cycles", "target", "checksum"]),
@@ -177,9 +181,10 @@ def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cyc
     assert not refused(other())
     for member in ("instants", "square", "overlap", "end"):
         closed, behind, opened = other(), other(), other()
-        first = closed.native.accumulator.block[0]
-        second = behind.native.accumulator.block[1]
-        last = opened.native.accumulator.block[opened.native.accumulator.count - 1]
+        order = list(closed.native.accumulator.order)
+        first = closed.native.accumulator.block[order[0]]
+        second = behind.native.accumulator.block[order[1]]
+        last = opened.native.accumulator.block[order[opened.native.accumulator.count - 1]]
         for block in (first, second, last):
             setattr(block, member, getattr(block, member) + 1)
         assert refused(closed)
@@ -200,11 +205,12 @@ def test_a_flip_is_remembered_when_the_arcs_behind_it_are_dropped(flight: Flight
         out = Flight(flight.arm)
         ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
         sums = ffi.addressof(out.native, "accumulator")
-        arcs = sorted({int(sums.block[b].end) for b in range(sums.open)})
-        last = max(b for b in range(sums.open) if sums.block[b].end == arcs[-2])
-        sums.block[last].square += damaged
+        order = list(sums.order[0 : sums.open])
+        arcs = sorted({int(sums.block[place].end) for place in order})
+        last = max(r for r, place in enumerate(order) if sums.block[place].end == arcs[-2])
+        sums.block[order[last]].square += damaged
         lib.zygos_accumulator_drop_after(sums, arcs[-2])
-        assert (sums.open, sums.block[last].overlap) == (last + 1, 0.0)
+        assert (sums.open, sums.block[order[last]].overlap) == (last + 1, 0.0)
         assert (lib.zygos_accumulator_check(sums) > 1.0) == damaged
         assert (out.estimate().reason == CORRUPT) == damaged
 
@@ -212,13 +218,13 @@ def test_a_flip_is_remembered_when_the_arcs_behind_it_are_dropped(flight: Flight
 def _counted(sums: Any, off: float) -> None:
     """The number of instants in the sums, whose row sums match."""
     width = sums.width
-    block = sums.block[sums.open]
+    block = sums.block[sums.order[sums.fresh]]
     block.gram[width * (width + 1) // 2 - 1] += off
     block.sum[width - 1] += off
 
 
 def _noise(sums: Any, off: float) -> None:
-    sums.noise.gram[4] += off
+    sums.noise_open[sums.parity].gram[4] += off
 
 
 def _motors_counted(sums: Any, off: float) -> None:
@@ -260,14 +266,18 @@ def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(
     out = Flight(flight.arm)
     ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
     sums = getattr(out.native, kind)
-    closed = [
-        (block.end, block.checksum) for block in sums.block[0 : sums.open if kind == "accumulator" else sums.count]
-    ]
+
+    def closed() -> list[tuple[int, int]]:
+        ranks = sums.order[0 : sums.open] if kind == "accumulator" else range(sums.count)
+        return [(sums.block[b].end, sums.block[b].checksum) for b in ranks]
+
+    before = closed()
     damage(sums, off)
     out.cycles(part(again(out.arm, motion, int(out.native.cycle) + 1, np.random.default_rng(1)), 0, 1))
+    if kind == "accumulator":
+        lib.zygos_accumulator_settle(ffi.addressof(sums))
     assert sums.quarantined == 1
-    count = sums.open if kind == "accumulator" else sums.count
-    assert [(block.end, block.checksum) for block in sums.block[0:count]] == closed
+    assert closed() == before
     fly(out, motion, 1, np.random.default_rng(2))
     assert sums.quarantined == 1
     assert out.estimate().validity == "valid"

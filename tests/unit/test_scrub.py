@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from flight_support import bytes_of, part
 from ground_support import seen, short_arm, torque_of
-from soak_support import again, fly, stored, with_all_rows
+from soak_support import again, fly, resealed, stored, with_all_rows
 
 from zygos.arm import Arm
 from zygos.model.model import Model
@@ -33,14 +33,21 @@ def motion(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
     return stored(arm, model, scenario)
 
 
+def settle(flight: Flight) -> None:
+    """Finish the tasks that go on beside the cycles."""
+    guard, config, sums = (ffi.addressof(flight.native, name) for name in ("guard", "config", "accumulator"))
+    lib.zygos_guard_settle_energy(guard, config, sums)
+
+
 @pytest.fixture(scope="module")
 def flown(arm: Arm, motion: Cycles) -> Flight:
-    """A few arcs, verified, and half of another."""
+    """A few arcs, verified, and half of another; no task is open."""
     out, rng = Flight(with_all_rows(arm)), np.random.default_rng(0)
     fly(out, motion, MOTION_ARCS, rng)
     pristine = ffi.new("zygos_config_t *", out.native.config)
     assert lib.zygos_scrub(out.native, pristine) == 0
     out.cycles(part(again(out.arm, motion, int(out.native.cycle) + 1, rng), 0, len(motion) // 2 + 37))
+    settle(out)
     return out
 
 
@@ -157,7 +164,7 @@ def test_what_follows_from_the_configuration_is_computed_again(
         assert ours == theirs
     sums = flight.native.accumulator
     assert sums.count == sums.open
-    assert all(block.end <= flown.native.scrubbed for block in sums.block[0 : sums.open])
+    assert all(sums.block[place].end <= flown.native.scrubbed for place in sums.order[0 : sums.open])
     assert lib.zygos_scrub(flight.native, pristine) == 0
     assert flight.estimate().validity in ("valid", "partial")
 
@@ -166,9 +173,10 @@ def test_arcs_that_a_changed_table_may_have_spoiled_are_dropped(flight: Flight, 
     verified = int(flight.native.scrubbed)
     _variance(flight.native)
     fly(flight, motion, 2, np.random.default_rng(1))
-    assert flight.native.accumulator.block[flight.native.accumulator.open - 1].end > verified
+    sums = flight.native.accumulator
+    assert sums.block[sums.order[sums.open - 1]].end > verified
     assert lib.zygos_scrub(flight.native, pristine) & TABLES
-    assert flight.native.accumulator.block[flight.native.accumulator.open - 1].end <= verified
+    assert sums.block[sums.order[sums.open - 1]].end <= verified
 
 
 PLACE = (
@@ -205,12 +213,17 @@ def test_what_tells_which_blocks_there_are_is_flipped_back(
     assert bytes_of(ffi.addressof(flight.native, "accumulator")) == bytes_of(ffi.addressof(flown.native, "accumulator"))
 
 
+def closed_block(native: Any) -> Any:
+    """The third block of the energy rows."""
+    return native.accumulator.block[native.accumulator.order[2]]
+
+
 def _energy(native: Any) -> None:
-    flip(native.accumulator.block[2], "gram", 52, 7)
+    flip(closed_block(native), "gram", 52, 7)
 
 
 def _deviation(native: Any) -> None:
-    flip(native.accumulator.block[2], "deviation", 52, 3)
+    flip(closed_block(native), "deviation", 52, 3)
 
 
 def _motor(native: Any) -> None:
@@ -238,16 +251,6 @@ def test_a_block_that_does_not_match_is_dropped_and_no_other(
     there, before = flight.estimate(), flown.estimate()
     assert there.validity == before.validity
     assert (np.abs(there.value - before.value) < 3.0 * before.sigma).all()
-
-
-def resealed(sums: Any) -> int:
-    """The checksum over what tells which blocks there are."""
-    energy, checksum = hasattr(sums, "enough"), 0
-    for name in ("enough", "target") if energy else ("target",):
-        checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double *", getattr(sums, name)), 1)
-    for name in ("width", "count", "open", "newest", "window", "arcs") if energy else ("count",):
-        checksum = lib.zygos_checksum_number(checksum, getattr(sums, name))
-    return int(checksum)
 
 
 IMPOSSIBLE = (
@@ -278,7 +281,7 @@ def test_a_count_that_cannot_be_is_found_also_where_its_checksum_matches(
 
 def _energy_instants(native: Any, instants: float) -> None:
     sums = native.accumulator
-    block = sums.block[2]
+    block = closed_block(native)
     block.instants = instants
     checksum = lib.zygos_checksum_doubles(1, block.deviation, sums.width)
     for number in (block.instants, block.square, block.overlap):
@@ -320,7 +323,7 @@ def test_where_no_block_is_left_the_noise_of_all_is_left_out(
     kind: str, flight: Flight, motion: Cycles, pristine: Any
 ) -> None:
     sums = getattr(flight.native, kind)
-    for b in range(sums.open if kind == "accumulator" else sums.count):
+    for b in sums.order[0 : sums.open] if kind == "accumulator" else range(sums.count):
         sums.block[b].instants = float("nan")
     assert lib.zygos_scrub(flight.native, pristine) > 0
     assert sums.count == 0
@@ -351,7 +354,7 @@ def test_an_open_arc_of_energy_rows_with_impossible_numbers_is_dropped(
 ) -> None:
     """Of the instants of its segment, or of a block that has yet to get its checksum."""
     sums = flight.native.accumulator
-    block = sums.block[sums.open]
+    block = sums.block[sums.order[sums.fresh]]
     if value == "checksum":
         block.checksum = 1
     else:
@@ -364,7 +367,7 @@ def test_an_open_arc_of_energy_rows_with_impossible_numbers_is_dropped(
 
 def test_a_block_is_dropped_where_no_arc_is_open(flight: Flight, pristine: Any) -> None:
     for left in (1, 2):
-        flip(flight.native.accumulator.block[2], "gram", 52, 7)
+        flip(closed_block(flight.native), "gram", 52, 7)
         assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
         assert flight.native.quarantined == left
         assert flight.native.accumulator.count == flight.native.accumulator.open

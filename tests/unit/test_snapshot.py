@@ -206,7 +206,7 @@ def test_resume_refuses_what_it_was_not_made_for(arm: Arm, tmp_path: Path) -> No
         ("receiver.queue.tail", 1 << 31),
         ("accumulator.count", 65),
         ("accumulator.open", (1 << 32) - 1),
-        ("accumulator.filling", 2),
+        ("accumulator.filling", 3),
         ("accumulator.width", 9),
         ("accumulator.target", float("nan")),
         ("accumulator.segment", -1.0),

@@ -16,7 +16,7 @@ from fuzz import fuzz_support
 from verify.result import BUILD, Result, judged, missing
 
 PLACE = BUILD / "fuzz"
-CAPACITIES = {"MAX_JOINTS": 2, "MAX_BLOCKS": 8, "SPATIAL": 0}
+CAPACITIES = {"MAX_JOINTS": 2, "MAX_BLOCKS": 12, "SPATIAL": 0}
 GUIDED = "-fsanitize=fuzzer,address,undefined,float-cast-overflow -fno-sanitize-recover=all".split()
 FRAMES, STATES = 200_000, 800
 """Of one seed."""

@@ -537,7 +537,7 @@ class Flight:
     def noise(self) -> NDArray[np.float64]:
         """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
         sums = self._closed()
-        return _symmetric(sums.noise_closed.gram, sums.width - 1)
+        return sums.noise_fade * _symmetric(sums.noise_closed.gram, sums.width - 1)
 
     def blocks(self) -> Blocks:
         """The blocks behind the sigmas, the open arcs ended; not weighed."""
@@ -553,7 +553,7 @@ class Flight:
                     block.instants,
                     block.square,
                 )
-                for block in sums.block[0 : sums.open]
+                for block in (sums.block[place] for place in sums.order[0 : sums.open])
             ],
             motors=[
                 [
