@@ -10,15 +10,9 @@ static uint32_t quarantined(const zygos_work_t *work)
     return work->accumulator.quarantined + work->motor_sums.quarantined + work->momentum_sums.quarantined;
 }
 
-/* Whether the work was taken, and from memory that nobody changed; closes the open arcs. Apart from the solver, so that
-   who only checks does not link it. */
-bool zygos_work_intact(zygos_work_t *work)
+bool zygos_work_settle(zygos_work_t *work)
 {
-    if (work == NULL) {
-        return false;
-    }
-    zygos_accumulator_t *sums = &work->accumulator;
-    if ((work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
+    if ((work == NULL) || (work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
         (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
         (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return false;
@@ -27,14 +21,26 @@ bool zygos_work_intact(zygos_work_t *work)
         return false;
     }
     zygos_balance_column_map(&work->config, &work->column_map);
-    if (!zygos_accumulator_intact(sums, work->column_map.parameters) ||
+    if (!zygos_accumulator_intact(&work->accumulator, work->column_map.parameters) ||
         !zygos_joint_sums_intact(&work->joint_sums, &work->config, &work->column_map) ||
         !zygos_motor_sums_intact(&work->motor_sums, &work->config) ||
         !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
         return false;
     }
     const uint32_t before = quarantined(work);
-    zygos_guard_settle_energy(&work->guard, &work->config, sums);
+    zygos_guard_settle_energy(&work->guard, &work->config, &work->accumulator);
+    zygos_guard_settle_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums);
+    return quarantined(work) == before;
+}
+
+/* Whether the work was taken, and from memory that nobody changed; closes the open arcs. Apart from the solver, so that
+   who only checks does not link it. */
+bool zygos_work_intact(zygos_work_t *work)
+{
+    if (!zygos_work_settle(work)) {
+        return false;
+    }
+    zygos_accumulator_t *sums = &work->accumulator;
     zygos_accumulator_flush(sums);
     zygos_joint_sums_flush(&work->joint_sums, &work->config);
     zygos_guard_end_joints(&work->guard, &work->config, &work->joint_sums, work->cycle, &work->joints_forgetting);
@@ -44,12 +50,14 @@ bool zygos_work_intact(zygos_work_t *work)
         !(zygos_joint_sums_check(&work->joint_sums) <= 1.0)) {
         return false;
     }
+    const uint32_t before = quarantined(work);
     zygos_guard_end_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums, work->cycle);
     zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
     if (work->config.impulse_arc_cycles > 0) {
         zygos_guard_end_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums, work->cycle);
     }
     zygos_accumulator_apply_fade(sums);
+    zygos_momentum_sums_apply_fade(&work->momentum_sums);
     return (quarantined(work) == before) && (sums->corrupt == 0) && (work->motor_sums.corrupt == 0) &&
            (work->momentum_sums.corrupt == 0);
 }

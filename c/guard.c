@@ -399,51 +399,108 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
     }
 }
 
-/* The residuals of momentum rows. Their right side is zero: the terms that must cancel are used as its spread. */
-static void add_momentum_residuals(const zygos_guard_t *self, const zygos_column_map_t *column_map,
-                                   const zygos_momentum_sums_t *sums, const zygos_momentum_gram_t *rows, zygos_finding_t *out)
+/* Where the columns of the momentum rows stand. */
+static void momentum_places(const zygos_column_map_t *column_map, const zygos_momentum_sums_t *sums, uint32_t *place)
 {
-    uint32_t place[ZYGOS_MAX_MOMENTUM];
     for (uint32_t c = 0; c < sums->columns; c++) {
         place[c] = column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
-        const double x = (place[c] < (uint32_t)ZYGOS_MAX_PARAMETERS) ? self->solution[place[c]] : 0.0;
-        out->spread += x * x * rows->gram[zygos_gram_entries(c + 1u) - 1u];
     }
-    add_residuals(self, rows->gram, place, sums->columns, false, out);
+}
+
+/* The residuals of the rows from first to before end of momentum rows. Their right side is zero: the terms that must
+   cancel are used as its spread. */
+static void add_momentum_residuals(const zygos_guard_t *self, const uint32_t *place, uint32_t first, uint32_t end,
+                                   const double *gram, zygos_finding_t *out)
+{
+    const double *from = &gram[zygos_gram_entries(first)];
+    for (uint32_t a = first; a < end; a++) {
+        const uint32_t i = place[a];
+        double product = 0.0;
+        double trace = 0.0;
+        for (uint32_t b = 0; (b < a) && (i < (uint32_t)ZYGOS_MAX_PARAMETERS); b++) {
+            const uint32_t j = place[b];
+            if (j < (uint32_t)ZYGOS_MAX_PARAMETERS) {
+                product += from[b] * self->solution[j];
+                trace += from[b] * entry(self->covariance, i, j);
+            }
+        }
+        if (i < (uint32_t)ZYGOS_MAX_PARAMETERS) {
+            const double own = from[a] * self->solution[i];
+            out->residual += self->solution[i] * (2.0 * product + own);
+            out->uncertainty += 2.0 * trace + from[a] * entry(self->covariance, i, i);
+            out->spread += self->solution[i] * own;
+        }
+        from += a + 1u;
+    }
+}
+
+static void judge_momentum(zygos_guard_t *self, const zygos_config_t *config, zygos_momentum_sums_t *sums)
+{
+    const double n = sums->closing.instants;
+    zygos_finding_t found = self->momenta;
+    found.residual += self->momentum_noise.residual;
+    found.expected = self->momentum_noise.residual;
+    const double limit = limit_of(&found, &self->momentum, n, 1.0);
+    const bool contradicts = (limit > 0.0) && (found.residual > limit);
+    double there = 0.0;
+    for (uint32_t b = 0; b < sums->count; b++) {
+        there += sums->block[b].fade * sums->block[b].instants;
+    }
+    self->contradiction[ZYGOS_MOMENTUM_ROWS] = (limit > 0.0) ? found.residual / limit : 0.0;
+    count(self, config, (uint32_t)ZYGOS_MOMENTUM_ROWS, contradicts, limit < INFORMATIVE * found.spread, n, there,
+          sums->closing.end, sums->closing_cycles);
+    zygos_momentum_sums_judged(sums, !contradicts);
+}
+
+void zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,
+                                  const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums)
+{
+    if (sums->task != (uint32_t)ZYGOS_MOMENTUM_JUDGE) {
+        zygos_momentum_sums_proceed(sums, config);
+        return;
+    }
+    const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
+    if (sums->row == 0) {
+        self->momenta = none;
+        self->momentum_noise = none;
+        if (!has_running_solution(self, column_map->parameters) || !(self->momentum.residual > 0.0)) {
+            zygos_momentum_sums_judged(sums, true);
+            return;
+        }
+    }
+    uint32_t place[ZYGOS_MAX_MOMENTUM];
+    momentum_places(column_map, sums, place);
+    const uint32_t part = zygos_momentum_sums_part(sums, 1u);
+    const uint32_t end = (part < sums->columns) ? part : sums->columns;
+    add_momentum_residuals(self, place, sums->row, end, sums->noise_closing.gram, &self->momentum_noise);
+    add_momentum_residuals(self, place, sums->row, end, sums->closing.rows.gram, &self->momenta);
+    sums->row = end;
+    if (end >= sums->columns) {
+        judge_momentum(self, config, sums);
+    }
+}
+
+void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *config,
+                                 const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums)
+{
+    const uint32_t most = 8u * ZYGOS_MOMENTUM_PASS_CYCLES + 2u * (uint32_t)ZYGOS_MOMENTUM_PLACES;
+    for (uint32_t tries = 0; (tries < most) && (sums->task != (uint32_t)ZYGOS_MOMENTUM_NONE); tries++) {
+        zygos_guard_proceed_momentum(self, config, column_map, sums);
+    }
+}
+
+void zygos_guard_close_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                                zygos_momentum_sums_t *sums, uint64_t cycle)
+{
+    zygos_guard_settle_momentum(self, config, column_map, sums);
+    (void)zygos_momentum_sums_close(sums, cycle);
 }
 
 void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                               zygos_momentum_sums_t *sums, uint64_t cycle)
 {
-    const uint32_t cycles = sums->cycles;
-    if (!zygos_momentum_sums_close(sums, config)) {
-        return;
-    }
-    if (!has_running_solution(self, column_map->parameters) || !(self->momentum.residual > 0.0)) {
-        zygos_momentum_sums_admit(sums, cycle);
-        return;
-    }
-    const double n = sums->open.instants;
-    zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
-    zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
-    add_momentum_residuals(self, column_map, sums, &sums->noise_open, &noise);
-    add_momentum_residuals(self, column_map, sums, &sums->open.rows, &found);
-    found.residual += noise.residual;
-    found.expected = noise.residual;
-    const double limit = limit_of(&found, &self->momentum, n, 1.0);
-    const bool contradicts = (limit > 0.0) && (found.residual > limit);
-    double there = 0.0;
-    for (uint32_t b = 0; b < sums->count; b++) {
-        there += sums->block[b].instants;
-    }
-    self->contradiction[ZYGOS_MOMENTUM_ROWS] = (limit > 0.0) ? found.residual / limit : 0.0;
-    count(self, config, (uint32_t)ZYGOS_MOMENTUM_ROWS, contradicts, limit < INFORMATIVE * found.spread, n, there, cycle,
-          cycles);
-    if (contradicts) {
-        zygos_momentum_sums_leave_out(sums);
-    } else {
-        zygos_momentum_sums_admit(sums, cycle);
-    }
+    zygos_guard_close_momentum(self, config, column_map, sums, cycle);
+    zygos_guard_settle_momentum(self, config, column_map, sums);
 }
 
 void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, zygos_joint_sums_t *sums, uint64_t cycle,
@@ -544,13 +601,21 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
         self->motor[i] = mean_squares_of(&found, n);
     }
     zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    uint32_t place[ZYGOS_MAX_MOMENTUM];
+    momentum_places(column_map, momentum, place);
     n = 0.0;
     for (uint32_t b = 0; b < momentum->count; b++) {
-        add_momentum_residuals(self, column_map, momentum, &momentum->block[b].rows, &found);
-        n += momentum->block[b].instants;
+        zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
+        add_momentum_residuals(self, place, 0, momentum->columns, momentum->block[b].rows.gram, &block);
+        found.residual += momentum->block[b].fade * block.residual;
+        found.spread += momentum->block[b].fade * block.spread;
+        n += momentum->block[b].fade * momentum->block[b].instants;
     }
     if (n > 0.0) {
-        add_momentum_residuals(self, column_map, momentum, &momentum->noise_closed, &found);
+        zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+        add_momentum_residuals(self, place, 0, momentum->columns, momentum->noise_closed.gram, &noise);
+        found.residual += momentum->noise_fade * noise.residual;
+        found.spread += momentum->noise_fade * noise.spread;
     }
     self->momentum = mean_squares_of(&found, n);
     if (self->known == 0) { /* the first, or that of another arm */

@@ -16,24 +16,28 @@ static uint32_t width_of(const zygos_momentum_sums_t *self)
 
 static uint64_t checksum_of(const zygos_momentum_sums_t *self)
 {
-    return zygos_checksum_number(zygos_checksum_doubles(0u, &self->target, 1), self->count);
+    const double numbers[2] = { self->target, self->noise_fade };
+    return zygos_checksum_number(zygos_checksum_doubles(0u, numbers, 2), self->count);
 }
 
 static uint64_t checksum_of_block(const zygos_momentum_block_t *block)
 {
-    return zygos_checksum_number(zygos_checksum_doubles(1u, &block->instants, 1), block->end);
+    const double numbers[2] = { block->instants, block->fade };
+    return zygos_checksum_number(zygos_checksum_doubles(1u, numbers, 2), block->end);
 }
 
 /* Flips a bit back where that explains the checksum. */
 static bool repair(zygos_momentum_sums_t *self)
 {
-    uint64_t word[2] = { 0, self->count };
+    uint64_t word[3] = { 0, 0, self->count };
     memcpy(&word[0], &self->target, sizeof word[0]);
-    if (!zygos_checksum_repair(word, 2, self->checksum)) {
+    memcpy(&word[1], &self->noise_fade, sizeof word[1]);
+    if (!zygos_checksum_repair(word, 3, self->checksum)) {
         return false;
     }
     memcpy(&self->target, &word[0], sizeof word[0]);
-    self->count = (uint32_t)word[1];
+    memcpy(&self->noise_fade, &word[1], sizeof word[1]);
+    self->count = (uint32_t)word[2];
     self->checksum = checksum_of(self);
     return true;
 }
@@ -76,6 +80,16 @@ static void add_gram(zygos_momentum_gram_t *to, const zygos_momentum_gram_t *fro
     }
 }
 
+/* Reduces the noise of closed arcs in proportion; where nothing is left it begins anew. */
+static void fade_noise(zygos_momentum_sums_t *self, double factor)
+{
+    self->noise_fade *= factor;
+    if (!(self->noise_fade > 0.0)) {
+        clear_gram(&self->noise_closed, self->columns);
+        self->noise_fade = 1.0;
+    }
+}
+
 void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self)
 {
     clear_gram(&self->open.rows, width_of(self));
@@ -84,14 +98,31 @@ void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self)
     self->cycles = 0;
 }
 
+static void begin_task(zygos_momentum_sums_t *self, uint32_t task)
+{
+    self->task = task;
+    self->row = 0;
+}
+
+static void leave_closing_out(zygos_momentum_sums_t *self)
+{
+    clear_gram(&self->closing.rows, width_of(self));
+    clear_gram(&self->noise_closing, self->columns);
+    self->closing.instants = 0.0;
+    self->closing_cycles = 0;
+    begin_task(self, ZYGOS_MOMENTUM_NONE);
+}
+
 void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
     self->target = 2.0 * (double)config->momentum_arc_cycles;
     self->count = 0;
     self->corrupt = 0;
     self->quarantined = 0;
+    self->noise_fade = 1.0;
     self->checksum = checksum_of(self);
     clear_gram(&self->noise_closed, self->columns);
+    leave_closing_out(self);
     zygos_momentum_sums_leave_out(self);
 }
 
@@ -133,6 +164,17 @@ static bool is_count(double instants)
     return (instants >= 0.0) && (instants <= ZYGOS_MAX_INSTANTS);
 }
 
+static bool is_factor(double fade)
+{
+    return (fade >= 0.0) && (fade <= 1.0);
+}
+
+bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
+{
+    return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) && (self->row <= width_of(self)) &&
+           (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) && (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES);
+}
+
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
@@ -141,9 +183,11 @@ bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_c
         (self->columns == columns_of(config)) && (self->components == components_of(config)) &&
         (self->signals == signals_of(config)) && (width_of(self) <= (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) &&
         (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) && is_count(self->open.instants) &&
+        is_count(self->closing.instants) && zygos_momentum_sums_steady(self) && is_factor(self->noise_fade) &&
+        (self->noise_fade > 0.0) &&
         (none ? (self->count == 0) && !(self->open.instants > 0.0) : (self->target >= 1.0) && is_count(self->target));
     for (uint32_t b = 0; good && (b < self->count); b++) {
-        good = is_count(self->block[b].instants);
+        good = is_count(self->block[b].instants) && is_factor(self->block[b].fade);
     }
     return good;
 }
@@ -179,110 +223,285 @@ static double violation(const zygos_momentum_gram_t *rows, uint32_t width, doubl
     return zygos_gram_check(rows->gram, width, rows->sum, adds);
 }
 
-/* G - s s^T / n for each component, less the noise; the constants' rows are no more. */
-static void close_block(zygos_momentum_sums_t *self, zygos_momentum_gram_t *rows)
+uint32_t zygos_momentum_sums_part(const zygos_momentum_sums_t *self, uint32_t times)
 {
-    const uint32_t p = self->columns;
-    for (uint32_t c = 0; c < self->components; c++) {
-        const double *s = &rows->gram[zygos_gram_entries(p + c)];
-        const double part = (s[p + c] > 0.0) ? 1.0 / s[p + c] : 0.0;
-        double *entry = rows->gram;
-        for (uint32_t a = 0; a < p; a++) {
-            for (uint32_t b = 0; b <= a; b++) {
-                *entry -= part * s[a] * s[b];
-                entry++;
-            }
-        }
+    const uint32_t width = width_of(self);
+    const uint32_t part = (zygos_gram_entries(width) + ZYGOS_MOMENTUM_PASS_CYCLES - 1u) / ZYGOS_MOMENTUM_PASS_CYCLES;
+    uint32_t end = self->row;
+    for (uint32_t n = 0; (end < width) && (n < times * part); end++) {
+        n += end + 1u;
     }
-    const uint32_t size = zygos_gram_entries(p);
-    memset(&rows->gram[size], 0, (zygos_gram_entries(width_of(self)) - size) * sizeof rows->gram[0]);
-    add_gram(rows, &self->noise_open, -1.0, p);
-    zygos_gram_row_sums(rows->gram, width_of(self), rows->sum);
+    return end;
 }
 
-/* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
-static void make_room(zygos_momentum_sums_t *self)
+static double instants_of(const zygos_momentum_block_t *block)
 {
-    for (uint32_t tries = 0; tries < 64u; tries++) {
-        uint32_t to = 0;
-        for (uint32_t from = 0; from < self->count; from++) {
-            const zygos_momentum_block_t *next = &self->block[from];
-            zygos_momentum_block_t *last = &self->block[(to > 0) ? to - 1u : 0u];
-            const uint32_t left = to + (self->count - from);
-            if ((to > 0) && (left > ZYGOS_MIN_ARCS) && (last->instants + next->instants <= self->target)) {
-                const bool whole = is_whole(last) && is_whole(next);
-                add_gram(&last->rows, &next->rows, 1.0, self->columns);
-                last->instants += next->instants;
-                last->end = next->end;
-                seal(last, whole);
-                continue;
-            }
-            if (to != from) {
-                self->block[to] = *next;
-            }
-            to++;
-        }
-        self->count = to;
-        if (self->count <= 3u * ZYGOS_MOMENTUM_PLACES / 4u) {
-            return;
-        }
-        self->target *= 2.0;
-    }
-    if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) { /* a changed target or number of instants */
-        self->corrupt = 1;
-        self->count = 0;
-    }
+    return block->fade * block->instants;
 }
 
-bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t *config)
+bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle)
 {
-    const double instants = self->open.instants;
-    if (instants < (double)ZYGOS_MIN_ARC_INSTANTS) {
+    if (self->open.instants < (double)ZYGOS_MIN_ARC_INSTANTS) {
         zygos_momentum_sums_leave_out(self);
         return false;
     }
-    const double worst = violation(&self->open.rows, width_of(self), instants);
+    memcpy(self->closing.rows.gram, self->open.rows.gram,
+           zygos_gram_entries(width_of(self)) * sizeof self->open.rows.gram[0]);
+    memcpy(self->closing.rows.sum, self->open.rows.sum, width_of(self) * sizeof self->open.rows.sum[0]);
+    memcpy(self->noise_closing.gram, self->noise_open.gram,
+           zygos_gram_entries(self->columns) * sizeof self->noise_open.gram[0]);
+    memcpy(self->noise_closing.sum, self->noise_open.sum, self->columns * sizeof self->noise_open.sum[0]);
+    self->closing.instants = self->open.instants;
+    self->closing.fade = 1.0;
+    self->closing.end = cycle;
+    self->closing_cycles = self->cycles;
+    self->admitted = 0;
+    zygos_momentum_sums_leave_out(self);
+    memset(&self->scan, 0, sizeof self->scan);
+    begin_task(self, ZYGOS_MOMENTUM_VERIFY_ROWS);
+    return true;
+}
+
+/* Of the closing arc. What does not match is left out. */
+static void reject(zygos_momentum_sums_t *self)
+{
+    self->quarantined++;
+    self->admitted = 0;
+    begin_task(self, ZYGOS_MOMENTUM_ADMIT);
+}
+
+static void verify_rows(zygos_momentum_sums_t *self)
+{
+    const uint32_t end = zygos_momentum_sums_part(self, 1u);
+    const zygos_momentum_gram_t *rows = &self->closing.rows;
+    zygos_gram_scan(&self->scan, rows->gram, self->row, end);
+    self->row = end;
+    if (end < width_of(self)) {
+        return;
+    }
+    const double instants = self->closing.instants;
     double off = -instants; /* the constants' diagonal counts as well */
     for (uint32_t c = 0; c < self->components; c++) {
-        off += self->open.rows.gram[zygos_gram_entries(self->columns + c + 1u) - 1u];
+        off += rows->gram[zygos_gram_entries(self->columns + c + 1u) - 1u];
     }
-    judge(self);
-    if (!((off > -COUNTED) && (off < COUNTED) && (worst <= 1.0) &&
-          (violation(&self->noise_open, self->columns, instants) <= 1.0))) {
-        self->quarantined++;
-        zygos_momentum_sums_leave_out(self);
-        return false;
+    if ((off > -COUNTED) && (off < COUNTED) &&
+        (zygos_gram_scanned(&self->scan, rows->gram, width_of(self), rows->sum, instants) <= 1.0)) {
+        memset(&self->scan, 0, sizeof self->scan);
+        begin_task(self, ZYGOS_MOMENTUM_VERIFY_NOISE);
+    } else {
+        reject(self);
+    }
+}
+
+static void verify_noise(zygos_momentum_sums_t *self, const zygos_config_t *config)
+{
+    const uint32_t end = zygos_momentum_sums_part(self, 1u);
+    const uint32_t last = (end < self->columns) ? end : self->columns;
+    zygos_momentum_gram_t *noise = &self->noise_closing;
+    const double instants = self->closing.instants;
+    zygos_gram_scan(&self->scan, noise->gram, self->row, last);
+    self->row = last;
+    if (last < self->columns) {
+        return;
+    }
+    if (!(zygos_gram_scanned(&self->scan, noise->gram, self->columns, noise->sum, instants) <= 1.0)) {
+        reject(self);
+        return;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
         const uint32_t place = self->columns - config->joints + i;
         const double owed = instants * self->rotor[i] / (double)self->components;
-        self->noise_open.gram[zygos_gram_entries(place + 1u) - 1u] += owed;
-        self->noise_open.sum[place] += owed;
+        noise->gram[zygos_gram_entries(place + 1u) - 1u] += owed;
+        noise->sum[place] += owed;
     }
-    close_block(self, &self->open.rows);
-    return true;
+    memset(self->closing.rows.sum, 0, width_of(self) * sizeof self->closing.rows.sum[0]);
+    begin_task(self, ZYGOS_MOMENTUM_ELIMINATE);
 }
 
-void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle)
+/* G - s s^T / n for each component, less the noise; the constants' rows, which are the last, are no more. */
+static void eliminate(zygos_momentum_sums_t *self)
 {
-    judge(self);
-    add_gram(&self->noise_closed, &self->noise_open, 1.0, self->columns);
-    if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) {
-        make_room(self);
+    const uint32_t p = self->columns;
+    const uint32_t end = zygos_momentum_sums_part(self, 1u);
+    zygos_momentum_gram_t *rows = &self->closing.rows;
+    double *entry = &rows->gram[zygos_gram_entries(self->row)];
+    const double *noise = &self->noise_closing.gram[zygos_gram_entries((self->row < p) ? self->row : 0u)];
+    for (uint32_t a = self->row; (a < end) && (a < p); a++) {
+        double row = 0.0;
+        for (uint32_t b = 0; b <= a; b++) {
+            for (uint32_t c = 0; c < self->components; c++) {
+                const double *s = &rows->gram[zygos_gram_entries(p + c)];
+                *entry -= (s[p + c] > 0.0) ? s[a] * s[b] / s[p + c] : 0.0;
+            }
+            *entry -= *noise;
+            row += *entry;
+            rows->sum[b] += (b < a) ? *entry : 0.0;
+            entry++;
+            noise++;
+        }
+        rows->sum[a] += row;
     }
-    self->open.end = cycle;
-    self->open.checksum = checksum_of_block(&self->open);
-    self->block[self->count] = self->open;
-    self->count++;
+    self->row = end;
+    if (end < width_of(self)) {
+        return;
+    }
+    const uint32_t size = zygos_gram_entries(p);
+    memset(&rows->gram[size], 0, (zygos_gram_entries(width_of(self)) - size) * sizeof rows->gram[0]);
+    begin_task(self, ZYGOS_MOMENTUM_JUDGE);
+}
+
+void zygos_momentum_sums_judged(zygos_momentum_sums_t *self, bool admitted)
+{
+    self->admitted = admitted ? 1u : 0u;
+    begin_task(self, ZYGOS_MOMENTUM_ADMIT);
+}
+
+/* The first pair of neighbours that fits into one block. The target doubles when none fits. */
+static void begin_merge(zygos_momentum_sums_t *self)
+{
+    double least = 2.0 * ZYGOS_MAX_INSTANTS;
+    for (uint32_t b = 0; b + 1u < self->count; b++) {
+        const double both = instants_of(&self->block[b]) + instants_of(&self->block[b + 1u]);
+        least = (both < least) ? both : least;
+    }
+    for (uint32_t tries = 0; (self->target < least) && (tries < 64u); tries++) {
+        self->target *= 2.0;
+    }
     self->checksum = checksum_of(self);
-    zygos_momentum_sums_leave_out(self);
+    for (uint32_t b = 0; b + 1u < self->count; b++) {
+        if (instants_of(&self->block[b]) + instants_of(&self->block[b + 1u]) <= self->target) {
+            self->place = b;
+            begin_task(self, ZYGOS_MOMENTUM_MERGE);
+            return;
+        }
+    }
+    self->corrupt = 1; /* a changed target or number of instants */
+    self->count = 0;
+    self->checksum = checksum_of(self);
+}
+
+static void admit(zygos_momentum_sums_t *self)
+{
+    const uint32_t end = zygos_momentum_sums_part(self, 2u);
+    const uint32_t last = zygos_gram_entries(end);
+    const uint32_t inner = zygos_gram_entries(self->columns);
+    const double factor = (double)self->admitted / self->noise_fade;
+    zygos_momentum_block_t *to = &self->block[(self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES) ? self->count : 0u];
+    for (uint32_t k = zygos_gram_entries(self->row); k < last; k++) {
+        to->rows.gram[k] = self->closing.rows.gram[k];
+    }
+    for (uint32_t k = zygos_gram_entries(self->row); (k < last) && (k < inner); k++) {
+        self->noise_closed.gram[k] += factor * self->noise_closing.gram[k];
+    }
+    self->row = end;
+    if (end < width_of(self)) {
+        return;
+    }
+    memcpy(to->rows.sum, self->closing.rows.sum, width_of(self) * sizeof to->rows.sum[0]);
+    for (uint32_t i = 0; i < self->columns; i++) {
+        self->noise_closed.sum[i] += factor * self->noise_closing.sum[i];
+    }
+    to->instants = self->closing.instants;
+    to->fade = 1.0;
+    to->end = self->closing.end;
+    to->checksum = checksum_of_block(to);
+    judge(self);
+    self->count += self->admitted;
+    self->checksum = checksum_of(self);
+    leave_closing_out(self);
+    if (self->count >= (uint32_t)ZYGOS_MOMENTUM_PLACES) {
+        begin_merge(self);
+    }
+}
+
+static void merge(zygos_momentum_sums_t *self)
+{
+    const uint32_t end = zygos_momentum_sums_part(self, 2u);
+    zygos_momentum_block_t *to = &self->block[self->place];
+    zygos_momentum_block_t *from = &self->block[(self->place + 1u < self->count) ? self->place + 1u : self->place];
+    for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
+        to->rows.gram[k] = to->fade * to->rows.gram[k] + from->fade * from->rows.gram[k];
+    }
+    self->row = end;
+    if (end < width_of(self)) {
+        return;
+    }
+    const bool whole = is_whole(to) && is_whole(from);
+    for (uint32_t i = 0; i < width_of(self); i++) {
+        to->rows.sum[i] = to->fade * to->rows.sum[i] + from->fade * from->rows.sum[i];
+    }
+    to->instants = instants_of(to) + instants_of(from);
+    to->fade = 1.0;
+    to->end = from->end;
+    seal(to, whole);
+    self->place++;
+    begin_task(self, ZYGOS_MOMENTUM_SHIFT);
+}
+
+/* Moves the block behind a place that is free to it. */
+static void shift(zygos_momentum_sums_t *self)
+{
+    if (self->place + 1u >= self->count) {
+        judge(self);
+        self->count -= (self->count > 0) ? 1u : 0u;
+        self->checksum = checksum_of(self);
+        begin_task(self, ZYGOS_MOMENTUM_NONE);
+        self->place = 0;
+        return;
+    }
+    const zygos_momentum_block_t *from = &self->block[self->place + 1u];
+    zygos_momentum_block_t *to = &self->block[self->place];
+    memcpy(to->rows.gram, from->rows.gram, zygos_gram_entries(width_of(self)) * sizeof to->rows.gram[0]);
+    memcpy(to->rows.sum, from->rows.sum, width_of(self) * sizeof to->rows.sum[0]);
+    to->instants = from->instants;
+    to->fade = from->fade;
+    to->end = from->end;
+    to->checksum = from->checksum;
+    self->place++;
+}
+
+void zygos_momentum_sums_proceed(zygos_momentum_sums_t *self, const zygos_config_t *config)
+{
+    switch (self->task) {
+    case ZYGOS_MOMENTUM_VERIFY_ROWS:
+        verify_rows(self);
+        break;
+    case ZYGOS_MOMENTUM_VERIFY_NOISE:
+        verify_noise(self, config);
+        break;
+    case ZYGOS_MOMENTUM_ELIMINATE:
+        eliminate(self);
+        break;
+    case ZYGOS_MOMENTUM_ADMIT:
+        admit(self);
+        break;
+    case ZYGOS_MOMENTUM_MERGE:
+        merge(self);
+        break;
+    case ZYGOS_MOMENTUM_SHIFT:
+        shift(self);
+        break;
+    default:
+        break;
+    }
+}
+
+void zygos_momentum_sums_settle(zygos_momentum_sums_t *self, const zygos_config_t *config)
+{
+    const uint32_t most = 8u * ZYGOS_MOMENTUM_PASS_CYCLES + 2u * (uint32_t)ZYGOS_MOMENTUM_PLACES;
+    for (uint32_t tries = 0; (tries < most) && (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE); tries++) {
+        if (self->task == (uint32_t)ZYGOS_MOMENTUM_JUDGE) {
+            zygos_momentum_sums_judged(self, true);
+        }
+        zygos_momentum_sums_proceed(self, config);
+    }
 }
 
 void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle)
 {
-    if (zygos_momentum_sums_close(self, config)) {
-        zygos_momentum_sums_admit(self, cycle);
-    }
+    zygos_momentum_sums_settle(self, config);
+    (void)zygos_momentum_sums_close(self, cycle);
+    zygos_momentum_sums_settle(self, config);
 }
 
 void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor)
@@ -290,21 +509,40 @@ void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor)
     double left = 0.0;
     judge(self);
     for (uint32_t b = 0; b < self->count; b++) {
-        const bool whole = is_whole(&self->block[b]);
-        const double kept = (factor * self->block[b].instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
-        add_gram(&self->block[b].rows, &self->block[b].rows, kept - 1.0, self->columns);
-        self->block[b].instants *= kept;
-        seal(&self->block[b], whole);
-        left += self->block[b].instants;
+        zygos_momentum_block_t *block = &self->block[b];
+        const bool whole = is_whole(block);
+        const bool counts = (factor * instants_of(block) >= ZYGOS_NEGLIGIBLE_INSTANTS);
+        block->fade *= counts ? factor : 0.0;
+        seal(block, whole);
+        left += instants_of(block);
     }
-    add_gram(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->columns);
+    fade_noise(self, (left > 0.0) ? factor : 0.0);
+    self->checksum = checksum_of(self);
+}
+
+void zygos_momentum_sums_apply_fade(zygos_momentum_sums_t *self)
+{
+    for (uint32_t b = 0; b < self->count; b++) {
+        zygos_momentum_block_t *block = &self->block[b];
+        if (block->fade >= 1.0) {
+            continue;
+        }
+        const bool whole = is_whole(block);
+        add_gram(&block->rows, &block->rows, block->fade - 1.0, self->columns);
+        block->instants *= block->fade;
+        block->fade = 1.0;
+        seal(block, whole);
+    }
+    add_gram(&self->noise_closed, &self->noise_closed, self->noise_fade - 1.0, self->columns);
+    self->noise_fade = 1.0;
+    self->checksum = checksum_of(self);
 }
 
 static double closed_instants(const zygos_momentum_sums_t *self)
 {
     double total = 0.0;
     for (uint32_t b = 0; b < self->count; b++) {
-        total += self->block[b].instants;
+        total += instants_of(&self->block[b]);
     }
     return total;
 }
@@ -312,16 +550,25 @@ static double closed_instants(const zygos_momentum_sums_t *self)
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 {
     zygos_momentum_sums_leave_out(self);
+    for (uint32_t tries = 0; (tries < 4u * (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
+                             ((self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) ||
+                              (self->task == (uint32_t)ZYGOS_MOMENTUM_SHIFT));
+         tries++) {
+        (self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) ? merge(self) : shift(self);
+    }
+    if ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) && (self->closing.end > cycle)) {
+        leave_closing_out(self);
+    }
     judge(self);
     const double before = closed_instants(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;
     }
-    self->checksum = checksum_of(self);
     const double kept = closed_instants(self);
     if (kept < before) {
-        add_gram(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->columns);
+        fade_noise(self, kept / before);
     }
+    self->checksum = checksum_of(self);
 }
 
 uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle)
@@ -338,7 +585,7 @@ uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cy
     self->count -= drop;
     const double kept = closed_instants(self);
     if (kept < before) {
-        add_gram(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->columns);
+        fade_noise(self, kept / before);
     }
     self->checksum = checksum_of(self);
     return drop;
@@ -368,26 +615,31 @@ double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
 
 static bool is_block_whole(const zygos_momentum_sums_t *self, const zygos_momentum_block_t *block)
 {
-    return is_whole(block) && is_count(block->instants) &&
+    return is_whole(block) && is_count(block->instants) && is_factor(block->fade) &&
            (violation(&block->rows, width_of(self), block->instants) <= 1.0);
 }
 
 bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
 {
     if (((self->checksum != checksum_of(self)) && !repair(self)) || (self->corrupt == 1u) ||
-        (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES)) {
+        (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || !is_factor(self->noise_fade) || !(self->noise_fade > 0.0)) {
         return false;
     }
+    if ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->row != 0)) {
+        self->quarantined += (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) ? 1u : 0u;
+        leave_closing_out(self);
+    }
+    self->place = 0;
     self->corrupt = 0;
     double before = 0.0;
     double after = 0.0;
     uint32_t to = 0;
     for (uint32_t b = 0; b < self->count; b++) {
-        before += is_count(self->block[b].instants) ? self->block[b].instants : 0.0;
+        before += is_count(instants_of(&self->block[b])) ? instants_of(&self->block[b]) : 0.0;
         if (!is_block_whole(self, &self->block[b])) {
             continue;
         }
-        after += self->block[b].instants;
+        after += instants_of(&self->block[b]);
         if (to != b) {
             self->block[to] = self->block[b];
         }
@@ -398,8 +650,7 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
     }
     if (to < self->count) {
         self->quarantined += self->count - to;
-        add_gram(&self->noise_closed, &self->noise_closed, ((before > 0.0) ? after / before : 0.0) - 1.0,
-                 self->columns);
+        fade_noise(self, (before > 0.0) ? after / before : 0.0);
     }
     self->count = to;
     self->checksum = checksum_of(self);

@@ -489,24 +489,21 @@ static void gyro_slopes(const zygos_config_t *config, const zygos_column_map_t *
     }
 }
 
-/* The share of the gyro. */
+/* The share of one axis of the gyro. */
 static bool add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                     const zygos_arm_state_t *state, const zygos_motion_t *motion, double weight, double *packed,
-                     double *sum)
+                     const zygos_arm_state_t *state, const zygos_motion_t *motion, uint32_t axis, double weight,
+                     double *packed, double *sum)
 {
     const double deviation = weight * root(self->gyro_variance);
-    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     double rate[ZYGOS_MAX_COLUMNS + 1];
     if (self->gyro.seal != seal_of(&self->gyro)) {
         return false;
     }
-    for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {
-        gyro_slopes(config, column_map, state, motion, axis, rate);
-        for (uint32_t k = 0; k < self->gyro.count; k++) {
-            rate[k] = deviation * rate[self->gyro.place[k]];
-        }
-        add(config, column_map, &self->gyro, rate, packed, sum);
+    gyro_slopes(config, column_map, state, motion, axis, rate);
+    for (uint32_t k = 0; k < self->gyro.count; k++) {
+        rate[k] = deviation * rate[self->gyro.place[k]];
     }
+    add(config, column_map, &self->gyro, rate, packed, sum);
     return true;
 }
 
@@ -546,11 +543,13 @@ bool zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, co
     }
     bool whole = true;
     const bool gyro = (self->gyro_variance > 0.0) && (config->base == ZYGOS_BASE_FREE);
-    const uint32_t sensors = 2u * config->joints + (gyro ? 1u : 0u);
+    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
+    const uint32_t encoders = 2u * config->joints;
+    const uint32_t sensors = encoders + (gyro ? (space ? 3u : 1u) : 0u);
     const double share = weight * root((double)stride);
     for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
-        if (sensor == 2u * config->joints) {
-            whole = add_gyro(self, config, column_map, state, motion, share, packed, sum) && whole;
+        if (sensor >= encoders) {
+            whole = add_gyro(self, config, column_map, state, motion, sensor - encoders, share, packed, sum) && whole;
         } else {
             whole = add_encoder(self, config, column_map, geometry, state, motion, tau, tau_next, sensor, share, packed,
                                 sum) &&

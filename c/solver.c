@@ -1573,11 +1573,9 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
     const bool guarded = (work->guard.known != 0);
     const bool joints = (work->config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->config);
-    if (!joints && zygos_accumulator_intact(sums, sums->width - 2u)) {
-        zygos_guard_settle_energy(&work->guard, &work->config, &work->accumulator);
-    }
+    const bool settled = zygos_work_settle(work);
     work->guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
-    if (!zygos_work_intact(work)) {
+    if (!settled || !zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->column_map.parameters;

@@ -247,7 +247,8 @@ static bool is_steady(const zygos_t *self)
     const zygos_config_t *config = &self->config;
     const zygos_accumulator_t *sums = &self->accumulator;
     const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums));
-    return (off == 0) && zygos_accumulator_steady(sums) && (self->smoother.position < self->smoother.window) &&
+    return (off == 0) && zygos_accumulator_steady(sums) && zygos_momentum_sums_steady(&self->momentum_sums) &&
+           (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
             (zygos_joint_intact(&self->joint, config) && zygos_joint_sums_steady(&self->joint_sums, config)));
@@ -345,7 +346,7 @@ static void end_momentum_arc(zygos_t *self)
         zygos_momentum_sums_forget(&self->momentum_sums, self->momentum_forgetting);
     }
     self->momentum_forgetting = 1.0;
-    zygos_guard_end_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums, self->cycle);
+    zygos_guard_close_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums, self->cycle);
 }
 
 static void gap(zygos_t *self)
@@ -359,6 +360,13 @@ static void gap(zygos_t *self)
     end_momentum_arc(self);
     zygos_joint_reset(&self->joint, &self->config);
     end_arc(self);
+}
+
+/* Finishes what proceeds beside the cycles. */
+static void settle(zygos_t *self)
+{
+    zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+    zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
 }
 
 /* Drops what reaches into the cycles that cannot be trusted. */
@@ -412,6 +420,7 @@ static void add_momentum(zygos_t *self)
     }
     zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->arm_state, &self->motion,
                             self->arm_state.accepted);
+    zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums);
     if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
         end_momentum_arc(self);
         zygos_momentum_new_arc(&self->momentum);
@@ -562,7 +571,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     make_tables(self);
     self->scrubbed = self->cycle;
     gap(self);
-    zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+    settle(self);
     self->instant = 0;
     zygos_receiver_resume(&self->receiver);
     return 1;
@@ -667,7 +676,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
         good = within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && within(wider[i], 0.0, LARGEST_SUM);
     }
     guard->adopting = 1;
-    zygos_guard_settle_energy(guard, &self->config, &self->accumulator);
+    settle(self);
     if (!good) {
         return 0;
     }
@@ -825,6 +834,9 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
     const uint32_t rebuilt = found;
     if (zygos_accumulator_intact(&self->accumulator, self->column_map.parameters)) {
         zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+    }
+    if (zygos_momentum_sums_intact(&self->momentum_sums, &self->config)) {
+        zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
     }
     found |= is_steady(self) ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
     found |= scrub_sums(self);

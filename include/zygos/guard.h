@@ -101,6 +101,8 @@ typedef struct {
     double share;                              ///< Sum over its blocks of instants^2 / square.
     double compared;                           ///< Number of its blocks.
     double walk;                               ///< Uncertainty of the sum of residuals of a block.
+    zygos_finding_t momenta;                   ///< Of the closing arc of momentum rows.
+    zygos_finding_t momentum_noise;            ///< Of its noise.
     zygos_left_out_t newest[ZYGOS_GUARD_ARCS]; ///< Excluded arc number k is at k % ZYGOS_GUARD_ARCS.
     uint64_t checksum;                         ///< Of the members after it, which only zygos_adopt() writes.
     double noise_ratio;                        ///< 0 where no noise is declared.
@@ -147,6 +149,14 @@ void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *confi
 
 /// Finishes the tasks of the accumulator. Cost: a few passes over the blocks of the closing arc.
 void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums);
+
+/// The same of the momentum rows; their other tasks proceed as well.
+void zygos_guard_close_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                                zygos_momentum_sums_t *sums, uint64_t cycle);
+void zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,
+                                  const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums);
+void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *config,
+                                 const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums);
 
 /// These end the open arc of the energy, motor or momentum rows: the arc is added to the sums unless it contradicts the
 /// running solution. cycle: the newest cycle of the arc. cycles: their number. Cost: a few passes over the sums of the

@@ -4,11 +4,15 @@
 /// separate from those of the energy rows until the solver adds both. Neighbouring instants give nearly the same
 /// information, therefore one component is added in each cycle. The expected products of noise are summed separately,
 /// those of one sensor in each cycle with a larger weight, and are subtracted when an arc ends. Each component has a
-/// constant of its own in each arc. Blocks consist of whole arcs; when all are in use, neighbours are merged.
+/// constant of its own in each arc. Blocks consist of whole arcs; when all are in use, two neighbours are merged.
+///
+/// What takes time in proportion to a block is a task that proceeds by a part in each cycle, as that of the energy rows
+/// (accumulator.h): an arc is closing from its end until it is admitted.
 
 #ifndef ZYGOS_MOMENTUMSUMS_H
 #define ZYGOS_MOMENTUMSUMS_H
 
+#include "gram.h"
 #include "momentum.h"
 #include "types.h"
 
@@ -36,10 +40,27 @@ typedef struct {
 /// One block of the sums.
 typedef struct {
     zygos_momentum_gram_t rows; ///< Closed arcs: without the constants and the noise.
-    double instants;            ///< Accepted instants.
+    double instants;            ///< Accepted instants. Of closed arcs, without the factor fade.
+    double fade;                ///< Factor of the block (exponential forgetting).
     uint64_t end;               ///< Number of the newest cycle.
-    uint64_t checksum;          ///< Closed arcs: of instants and end.
+    uint64_t checksum;          ///< Closed arcs: of instants, fade and end.
 } zygos_momentum_block_t;
+
+/// Number of cycles in which a task reads or changes each entry of a block once.
+#define ZYGOS_MOMENTUM_PASS_CYCLES 4u
+
+/// What is done beside the rows of a cycle.
+enum zygos_momentum_task {
+    ZYGOS_MOMENTUM_NONE = 0,
+    ZYGOS_MOMENTUM_VERIFY_ROWS = 1,  ///< Compares the closing arc with its row sums.
+    ZYGOS_MOMENTUM_VERIFY_NOISE = 2, ///< Compares its noise with its row sums.
+    ZYGOS_MOMENTUM_ELIMINATE = 3,    ///< Eliminates its constants and subtracts its noise.
+    ZYGOS_MOMENTUM_JUDGE = 4,        ///< Compares it with the running solution (guard.h).
+    ZYGOS_MOMENTUM_ADMIT = 5,        ///< Admits it with its noise to the closed arcs, or leaves it out.
+    ZYGOS_MOMENTUM_MERGE = 6,        ///< Adds a block to the one before it.
+    ZYGOS_MOMENTUM_SHIFT = 7,        ///< Moves a block to the place before it.
+    ZYGOS_MOMENTUM_TASKS = 8
+};
 
 /// The normal equations of the momentum rows.
 typedef struct {
@@ -50,14 +71,22 @@ typedef struct {
     uint32_t cycles;      ///< Instants of the open arc, accepted or not.
     uint32_t signals;     ///< Sensors whose noise is subtracted; 0 where none is.
     uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_scrub().
-    uint32_t reserved;
-    double target;                          ///< Instants up to which blocks are merged.
-    uint64_t checksum;                      ///< Of count and target.
+    uint32_t task;        ///< enum zygos_momentum_task.
+    uint32_t row;         ///< The next row of the task.
+    uint32_t place;       ///< The block that the task changes.
+    uint32_t admitted;    ///< 1: the closing arc is admitted.
+    uint32_t closing_cycles; ///< Instants of the closing arc, accepted or not.
+    double target;        ///< Instants up to which blocks are merged.
+    double noise_fade;    ///< Factor of noise_closed.
+    uint64_t checksum;    ///< Of count, target and noise_fade.
     double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, with the weight of its turn (momentum.h).
     double rotor[ZYGOS_MAX_JOINTS];         ///< Contribution of the rotors' rates in one instant.
     zygos_momentum_gram_t noise_open;       ///< Noise of the open arc, not yet subtracted, without the rotors.
     zygos_momentum_gram_t noise_closed;     ///< Noise of closed arcs; reduced in proportion when one is dropped.
+    zygos_momentum_gram_t noise_closing;    ///< Noise of the closing arc.
+    zygos_gram_scan_t scan;                 ///< Row sums of what is verified.
     zygos_momentum_block_t open;
+    zygos_momentum_block_t closing;
     zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES];
 } zygos_momentum_sums_t;
 
@@ -70,6 +99,9 @@ void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_
 /// do not check it. Cost: a comparison for each block.
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config);
 
+/// Returns whether a cycle addresses nothing outside the struct, once the tables are verified. Cost: four comparisons.
+bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self);
+
 /// Clears the sums. Needs the tables.
 void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t *config);
 
@@ -80,21 +112,37 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
                              const zygos_momentum_t *momentum, const zygos_arm_state_t *state,
                              const zygos_motion_t *motion, double weight);
 
-/// Ends the open arc, whose newest cycle is given: eliminates its constants and subtracts its noise, or drops it when
-/// it is too short. Cost: a few passes over the sums of an arc; in the worst case one merge of all blocks.
+/// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and then
+/// false is returned. Needs that no task is open. Cost: one pass over the sums of an arc, which are copied.
+bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle);
+
+/// Proceeds with the task. ZYGOS_MOMENTUM_JUDGE is that of the caller, who ends it by the next function: this one does
+/// nothing then. Needs the tables. Cost: a part of a pass over a block.
+void zygos_momentum_sums_proceed(zygos_momentum_sums_t *self, const zygos_config_t *config);
+void zygos_momentum_sums_judged(zygos_momentum_sums_t *self, bool admitted);
+
+/// Returns the row before which the next part of the task ends, with so many times the usual number of entries.
+uint32_t zygos_momentum_sums_part(const zygos_momentum_sums_t *self, uint32_t times);
+
+/// Finishes the tasks, and admits the closing arc unless it does not match its row sums. Cost: a few passes over the
+/// sums of an arc, and one over the blocks where two are merged.
+void zygos_momentum_sums_settle(zygos_momentum_sums_t *self, const zygos_config_t *config);
+
+/// Ends the open arc and settles.
 void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
-/// The same in two calls. The first eliminates the constants, subtracts the noise and returns true, or drops an arc
-/// that is too short and returns false. The closed arc is then in self->open. The second call either admits it to the
-/// blocks or leaves it out.
-bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t *config);
-void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle);
+/// Drops the open arc.
 void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self);
 
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: one pass over their blocks.
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: a few instructions for each block.
 void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor);
 
-/// Drops the open arc, and the blocks with cycles after the given one. Cost: one pass over the noise of closed arcs.
+/// Multiplies each block and the noise of closed arcs by its factor, which is 1 then. Needs finished tasks. Cost: one
+/// pass over the blocks of which the factor is not 1.
+void zygos_momentum_sums_apply_fade(zygos_momentum_sums_t *self);
+
+/// Drops the open arc, the closing one, and the blocks with cycles after the given one. Needs finished tasks, but for
+/// those of the closing arc. Cost: one pass over the sums of two arcs.
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Drops the blocks up to the given cycle and their share of the noise, and returns their number.

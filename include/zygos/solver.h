@@ -190,6 +190,10 @@ typedef struct {
 /// validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
+/// Finishes the tasks that proceed beside the cycles (accumulator.h). Returns false when a count, an index or a closing
+/// arc is not as it was accumulated. zygos_work_intact() does this first. Cost: a few passes over the sums of an arc.
+bool zygos_work_settle(zygos_work_t *work);
+
 /// Returns whether the sums and counts in *work are those that were accumulated. Where this is false, zygos_solve()
 /// gives ZYGOS_REASON_CORRUPT. The function changes *work, as zygos_solve() does: call zygos_take() before each of
 /// them. Cost: a few passes over the sums.

@@ -55,7 +55,7 @@ def instants(flight: Flight) -> dict[str, list[float]]:
     return {
         "energy": [energy.fade[place] * energy.block[place].instants for place in energy.order[0 : energy.open]],
         "motors": [motors.block[b].total for b in range(motors.count)],
-        "momentum": [momentum.block[b].instants for b in range(momentum.count)],
+        "momentum": [momentum.block[b].fade * momentum.block[b].instants for b in range(momentum.count)],
     }
 
 
@@ -63,6 +63,7 @@ def resealed(sums: Any) -> int:
     """The checksum over what tells which blocks there are, once more and in Python."""
     energy = hasattr(sums, "enough")
     lengths = [sums.enough, sums.target] if energy else [sums.target]
+    lengths += [sums.noise_fade] if not energy and hasattr(sums, "noise_fade") else []
     words = np.array(lengths).view(np.uint64).tolist()
     if energy:
         names = ("width", "count", "open", "fresh", "newest", "window", "ready", "arcs")

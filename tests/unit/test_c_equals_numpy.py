@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from cases_support import CASES, Case, arm_of, parameters_of, record_of
+from flight_support import part
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
@@ -41,10 +42,12 @@ class Both:
 
 
 @cache
-def both_of(name: str) -> Both:
+def both_of(name: str, last: int | None = None) -> Both:
+    """The whole record of a case, or its first cycles."""
     case = CASES[name]
     arm = arm_of(case)
-    cycles = record_of(case, arm)
+    whole = record_of(case, arm)
+    cycles = part(whole, 0, last) if last is not None else whole
     flight = Flight(arm)
     trace = flight.cycles(cycles, trace=True)
     assert trace is not None
@@ -142,6 +145,10 @@ def test_the_record_is_one_from_which_the_parameters_come_back(both: Both) -> No
     np.testing.assert_allclose(both.flight.estimate().value, parameters_of(both.arm), rtol=0.3)
 
 
+UNMERGED = 1350
+"""Cycles in which no blocks merge: segments of a second, at 50 Hz."""
+
+
 def overlapping(both: Both) -> tuple[Floats, Floats]:
     """Weights (K, m) of the accepted rows in blocks, and what noise adds to each block's squares (K, p+1, p+1).
 
@@ -183,7 +190,7 @@ def overlapping(both: Both) -> tuple[Floats, Floats]:
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.arc_s == 60.0])
 def test_sigmas_from_the_same_blocks(name: str) -> None:
     """Where no blocks have merged: the scatter of overlapping blocks, and what undeclared noise may hide."""
-    both = both_of(name)
+    both = both_of(name, UNMERGED)
     design, solution, estimate = both.chain.design, both.chain.solution, both.flight.estimate()
     weights, noise = overlapping(both)
     assert estimate.blocks == len(weights) > 8
