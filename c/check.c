@@ -29,6 +29,7 @@ bool zygos_work_settle(zygos_work_t *work)
     }
     const uint32_t before = quarantined(work);
     zygos_guard_settle_energy(&work->guard, &work->config, &work->accumulator);
+    zygos_guard_settle_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums);
     zygos_guard_settle_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums);
     return quarantined(work) == before;
 }
@@ -57,6 +58,7 @@ bool zygos_work_intact(zygos_work_t *work)
         zygos_guard_end_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums, work->cycle);
     }
     zygos_accumulator_apply_fade(sums);
+    zygos_motor_sums_apply_fade(&work->motor_sums);
     zygos_momentum_sums_apply_fade(&work->momentum_sums);
     return (quarantined(work) == before) && (sums->corrupt == 0) && (work->motor_sums.corrupt == 0) &&
            (work->momentum_sums.corrupt == 0);

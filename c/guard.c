@@ -361,42 +361,73 @@ static void add_motor_residuals(const zygos_guard_t *self, const zygos_config_t 
     out->expected += n * (noise.residual + stiffness * stiffness * reading * arc_s * arc_s / WALK);
 }
 
-void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                            zygos_motor_sums_t *sums, uint64_t cycle)
+/* Compares the next joint of the closing arc. */
+static void judge_joint(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                        const zygos_motor_sums_t *sums)
 {
-    const uint32_t cycles = sums->cycles;
-    if (!zygos_motor_sums_close(sums, config)) {
+    const uint32_t i = sums->joint;
+    const double n = sums->closing.instants[i];
+    if ((sums->column_map.count[i] == 0) || !(n > 0.0) || !(self->motor[i].residual > 0.0)) {
         return;
     }
-    if (!has_running_solution(self, column_map->parameters)) {
-        zygos_motor_sums_admit(sums, cycle);
+    zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    add_motor_residuals(self, config, column_map, sums, &sums->closing, i, &found);
+    const double limit = limit_of(&found, &self->motor[i], n, 1.0);
+    self->motor_informative |= (limit < INFORMATIVE * found.spread) ? 1u : 0u;
+    self->motor_worst = (limit > 0.0) ? larger(self->motor_worst, found.residual / limit) : self->motor_worst;
+}
+
+void zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                                zygos_motor_sums_t *sums)
+{
+    if (sums->task != (uint32_t)ZYGOS_MOTOR_JUDGE) {
+        zygos_motor_sums_proceed(sums, config);
         return;
     }
-    double worst = 0.0;
-    bool informative = false;
-    for (uint32_t i = 0; i < config->joints; i++) {
-        const double n = sums->open.instants[i];
-        if ((sums->column_map.count[i] == 0) || !(n > 0.0) || !(self->motor[i].residual > 0.0)) {
-            continue;
+    if (sums->joint == 0) {
+        self->motor_worst = 0.0;
+        self->motor_informative = 0;
+        if (!has_running_solution(self, column_map->parameters)) {
+            zygos_motor_sums_judged(sums, true);
+            return;
         }
-        zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
-        add_motor_residuals(self, config, column_map, sums, &sums->open, i, &found);
-        const double limit = limit_of(&found, &self->motor[i], n, 1.0);
-        informative = informative || (limit < INFORMATIVE * found.spread);
-        worst = (limit > 0.0) ? larger(worst, found.residual / limit) : worst;
+    }
+    judge_joint(self, config, column_map, sums);
+    if (sums->joint + 1u < config->joints) {
+        sums->joint++;
+        return;
     }
     double there = 0.0;
     for (uint32_t b = 0; b < sums->count; b++) {
-        there += sums->block[b].total;
+        there += sums->block[b].fade * sums->block[b].total;
     }
-    self->contradiction[ZYGOS_MOTOR_ROWS] = worst;
-    count(self, config, (uint32_t)ZYGOS_MOTOR_ROWS, worst > 1.0, informative, (double)sums->instants, there, cycle,
-          cycles);
-    if (worst > 1.0) {
-        zygos_motor_sums_leave_out(sums);
-    } else {
-        zygos_motor_sums_admit(sums, cycle);
+    self->contradiction[ZYGOS_MOTOR_ROWS] = self->motor_worst;
+    count(self, config, (uint32_t)ZYGOS_MOTOR_ROWS, self->motor_worst > 1.0, self->motor_informative != 0,
+          sums->closing.total, there, sums->closing.end, sums->closing_cycles);
+    zygos_motor_sums_judged(sums, !(self->motor_worst > 1.0));
+}
+
+void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                               zygos_motor_sums_t *sums)
+{
+    const uint32_t most = 4u * (uint32_t)ZYGOS_MAX_JOINTS + 2u * (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS;
+    for (uint32_t tries = 0; (tries < most) && (sums->task != (uint32_t)ZYGOS_MOTOR_NONE); tries++) {
+        zygos_guard_proceed_motors(self, config, column_map, sums);
     }
+}
+
+void zygos_guard_close_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                              zygos_motor_sums_t *sums, uint64_t cycle)
+{
+    zygos_guard_settle_motors(self, config, column_map, sums);
+    (void)zygos_motor_sums_close(sums, cycle);
+}
+
+void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                            zygos_motor_sums_t *sums, uint64_t cycle)
+{
+    zygos_guard_close_motors(self, config, column_map, sums, cycle);
+    zygos_guard_settle_motors(self, config, column_map, sums);
 }
 
 /* Where the columns of the momentum rows stand. */
@@ -595,8 +626,11 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
         zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
         n = 0.0;
         for (uint32_t b = 0; (b < motors->count) && (motors->column_map.count[i] > 0); b++) {
-            add_motor_residuals(self, config, column_map, motors, &motors->block[b], i, &found);
-            n += motors->block[b].instants[i];
+            zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
+            add_motor_residuals(self, config, column_map, motors, &motors->block[b], i, &block);
+            found.residual += motors->block[b].fade * block.residual;
+            found.spread += motors->block[b].fade * block.spread;
+            n += motors->block[b].fade * motors->block[b].instants[i];
         }
         self->motor[i] = mean_squares_of(&found, n);
     }

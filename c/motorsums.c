@@ -16,7 +16,8 @@ static uint64_t checksum_of(const zygos_motor_sums_t *self)
 static uint64_t checksum_of_block(const zygos_motor_block_t *block)
 {
     const uint64_t instants = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
-    return zygos_checksum_number(zygos_checksum_doubles(instants, &block->total, 1), block->end);
+    const double numbers[2] = { block->total, block->fade };
+    return zygos_checksum_number(zygos_checksum_doubles(instants, numbers, 2), block->end);
 }
 
 /* Flips a bit back where that explains the checksum. */
@@ -63,6 +64,11 @@ void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *conf
     self->instants = 0;
     self->cycles = 0;
     memset(&self->open, 0, sizeof self->open);
+    memset(&self->closing, 0, sizeof self->closing);
+    self->task = ZYGOS_MOTOR_NONE;
+    self->joint = 0;
+    self->place = 0;
+    self->closing_cycles = 0;
     self->checksum = checksum_of(self);
 }
 
@@ -95,11 +101,12 @@ static bool same_layout(const zygos_impulse_column_map_t *column_map, const zygo
 bool zygos_motor_sums_intact(const zygos_motor_sums_t *self, const zygos_config_t *config)
 {
     const bool none = (config->impulse_arc_cycles == 0);
-    bool good = same_layout(&self->column_map, config) && (self->count <= ZYGOS_MAX_MOTOR_BLOCKS) &&
+    bool good = same_layout(&self->column_map, config) && zygos_motor_sums_steady(self) &&
                 (none ? (self->count == 0) && (self->instants == 0)
                       : (self->target >= 1.0) && (self->target <= ZYGOS_MAX_INSTANTS));
     for (uint32_t b = 0; good && (b < self->count); b++) {
-        good = (self->block[b].total >= 0.0) && (self->block[b].total <= ZYGOS_MAX_INSTANTS);
+        good = (self->block[b].total >= 0.0) && (self->block[b].total <= ZYGOS_MAX_INSTANTS) &&
+               (self->block[b].fade >= 0.0) && (self->block[b].fade <= 1.0);
     }
     return good;
 }
@@ -144,49 +151,194 @@ static void close_gram(zygos_motor_gram_t *joint, uint32_t p, double n, const do
     zygos_gram_row_sums(joint->gram, p + 2u, joint->sum);
 }
 
-static void add_block(zygos_motor_block_t *to, const zygos_motor_block_t *from)
+static double total_of(const zygos_motor_block_t *block)
 {
-    const bool whole = is_whole(to) && is_whole(from);
-    for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
-        for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
-            to->joint[i].gram[k] += from->joint[i].gram[k];
-        }
-        for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
-            to->joint[i].sum[k] += from->joint[i].sum[k];
-        }
-        to->instants[i] += from->instants[i];
-    }
-    to->total += from->total;
-    to->end = from->end;
-    seal(to, whole);
+    return block->fade * block->total;
 }
 
-/* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
-static void make_room(zygos_motor_sums_t *self)
+static void begin_task(zygos_motor_sums_t *self, uint32_t task)
 {
-    for (uint32_t tries = 0; tries < 64u; tries++) {
-        uint32_t to = 0;
-        for (uint32_t from = 0; from < self->count; from++) {
-            const uint32_t left = to + (self->count - from);
-            if ((to > 0) && (left > ZYGOS_MIN_ARCS) &&
-                (self->block[to - 1u].total + self->block[from].total <= self->target)) {
-                add_block(&self->block[to - 1u], &self->block[from]);
-                continue;
-            }
-            if (to != from) {
-                self->block[to] = self->block[from];
-            }
-            to++;
-        }
-        self->count = to;
-        if (self->count <= 3u * ZYGOS_MAX_MOTOR_BLOCKS / 4u) {
-            return;
-        }
+    self->task = task;
+    self->joint = 0;
+}
+
+static void leave_closing_out(zygos_motor_sums_t *self)
+{
+    self->closing.total = 0.0;
+    self->closing_cycles = 0;
+    self->place = 0;
+    begin_task(self, ZYGOS_MOTOR_NONE);
+}
+
+bool zygos_motor_sums_close(zygos_motor_sums_t *self, uint64_t cycle)
+{
+    if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
+        zygos_motor_sums_leave_out(self);
+        return false;
+    }
+    self->closing = self->open;
+    self->closing.total = (double)self->instants;
+    self->closing.fade = 1.0;
+    self->closing.end = cycle;
+    self->closing_cycles = self->cycles;
+    double turns = -self->closing.total;
+    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
+        turns += self->closing.instants[i];
+    }
+    self->whole = ((turns > -COUNTED) && (turns < COUNTED)) ? 1u : 0u;
+    zygos_motor_sums_leave_out(self);
+    begin_task(self, ZYGOS_MOTOR_CLOSE);
+    return true;
+}
+
+static void close_joint(zygos_motor_sums_t *self, const zygos_config_t *config)
+{
+    const uint32_t i = self->joint;
+    const uint32_t p = self->column_map.count[i];
+    const double n = self->closing.instants[i];
+    if ((p > 0) && (n > 0.0)) {
+        zygos_motor_gram_t *rows = &self->closing.joint[i];
+        /* The last entry counts instants as well. */
+        const double off = n - rows->gram[zygos_gram_entries(p + 2u) - 1u];
+        const bool counted = (off > -COUNTED) && (off < COUNTED);
+        self->whole &= (counted && matches(rows, p + 2u, n)) ? 1u : 0u;
+        close_gram(rows, p, n, self->noise[i]);
+    }
+    self->joint++;
+    if (self->joint < config->joints) {
+        return;
+    }
+    if (self->whole == 0) {
+        self->quarantined++;
+        leave_closing_out(self);
+    } else {
+        begin_task(self, ZYGOS_MOTOR_JUDGE);
+    }
+}
+
+void zygos_motor_sums_judged(zygos_motor_sums_t *self, bool admitted)
+{
+    if (admitted) {
+        begin_task(self, ZYGOS_MOTOR_ADMIT);
+    } else {
+        leave_closing_out(self);
+    }
+}
+
+/* The first pair of neighbours that fits into one block. The target doubles when none fits. */
+static void begin_merge(zygos_motor_sums_t *self)
+{
+    double least = 2.0 * ZYGOS_MAX_INSTANTS;
+    for (uint32_t b = 0; b + 1u < self->count; b++) {
+        const double both = total_of(&self->block[b]) + total_of(&self->block[b + 1u]);
+        least = (both < least) ? both : least;
+    }
+    for (uint32_t tries = 0; (self->target < least) && (tries < 64u); tries++) {
         self->target *= 2.0;
     }
-    if (self->count == ZYGOS_MAX_MOTOR_BLOCKS) { /* a changed target or number of instants */
-        self->corrupt = 1;
-        self->count = 0;
+    self->checksum = checksum_of(self);
+    for (uint32_t b = 0; b + 1u < self->count; b++) {
+        if (total_of(&self->block[b]) + total_of(&self->block[b + 1u]) <= self->target) {
+            self->place = b;
+            begin_task(self, ZYGOS_MOTOR_MERGE);
+            return;
+        }
+    }
+    self->corrupt = 1; /* a changed target or number of instants */
+    self->count = 0;
+    self->checksum = checksum_of(self);
+}
+
+static void admit(zygos_motor_sums_t *self)
+{
+    judge(self);
+    if (self->count < (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS) {
+        self->closing.checksum = checksum_of_block(&self->closing);
+        self->block[self->count] = self->closing;
+        self->count++;
+        self->checksum = checksum_of(self);
+    }
+    leave_closing_out(self);
+    if (self->count >= (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS) {
+        begin_merge(self);
+    }
+}
+
+static void merge_joint(zygos_motor_sums_t *self)
+{
+    const uint32_t i = self->joint;
+    zygos_motor_block_t *to = &self->block[self->place];
+    const zygos_motor_block_t *from = &self->block[(self->place + 1u < self->count) ? self->place + 1u : self->place];
+    for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
+        to->joint[i].gram[k] = to->fade * to->joint[i].gram[k] + from->fade * from->joint[i].gram[k];
+    }
+    for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
+        to->joint[i].sum[k] = to->fade * to->joint[i].sum[k] + from->fade * from->joint[i].sum[k];
+    }
+    self->joint++;
+    if (self->joint < (uint32_t)ZYGOS_MAX_JOINTS) {
+        return;
+    }
+    const bool whole = is_whole(to) && is_whole(from);
+    for (uint32_t j = 0; j < (uint32_t)ZYGOS_MAX_JOINTS; j++) {
+        to->instants[j] = to->fade * to->instants[j] + from->fade * from->instants[j];
+    }
+    to->total = total_of(to) + total_of(from);
+    to->fade = 1.0;
+    to->end = from->end;
+    seal(to, whole);
+    self->place++;
+    begin_task(self, ZYGOS_MOTOR_SHIFT);
+}
+
+/* Moves the block behind a place that is free to it. */
+static void shift(zygos_motor_sums_t *self)
+{
+    if (self->place + 1u >= self->count) {
+        judge(self);
+        self->count -= (self->count > 0) ? 1u : 0u;
+        self->checksum = checksum_of(self);
+        leave_closing_out(self);
+        return;
+    }
+    self->block[self->place] = self->block[self->place + 1u];
+    self->place++;
+}
+
+bool zygos_motor_sums_steady(const zygos_motor_sums_t *self)
+{
+    return (self->task < (uint32_t)ZYGOS_MOTOR_TASKS) && (self->joint < (uint32_t)ZYGOS_MAX_JOINTS) &&
+           (self->place < (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS) && (self->count <= (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS);
+}
+
+void zygos_motor_sums_proceed(zygos_motor_sums_t *self, const zygos_config_t *config)
+{
+    switch (self->task) {
+    case ZYGOS_MOTOR_CLOSE:
+        close_joint(self, config);
+        break;
+    case ZYGOS_MOTOR_ADMIT:
+        admit(self);
+        break;
+    case ZYGOS_MOTOR_MERGE:
+        merge_joint(self);
+        break;
+    case ZYGOS_MOTOR_SHIFT:
+        shift(self);
+        break;
+    default:
+        break;
+    }
+}
+
+void zygos_motor_sums_settle(zygos_motor_sums_t *self, const zygos_config_t *config)
+{
+    const uint32_t most = 4u * (uint32_t)ZYGOS_MAX_JOINTS + 2u * (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS;
+    for (uint32_t tries = 0; (tries < most) && (self->task != (uint32_t)ZYGOS_MOTOR_NONE); tries++) {
+        if (self->task == (uint32_t)ZYGOS_MOTOR_JUDGE) {
+            zygos_motor_sums_judged(self, true);
+        }
+        zygos_motor_sums_proceed(self, config);
     }
 }
 
@@ -197,55 +349,11 @@ void zygos_motor_sums_leave_out(zygos_motor_sums_t *self)
     self->cycles = 0;
 }
 
-bool zygos_motor_sums_close(zygos_motor_sums_t *self, const zygos_config_t *config)
-{
-    if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
-        zygos_motor_sums_leave_out(self);
-        return false;
-    }
-    double turns = -(double)self->instants;
-    bool whole = true;
-    judge(self);
-    for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t p = self->column_map.count[i];
-        turns += self->open.instants[i];
-        if ((p > 0) && (self->open.instants[i] > 0.0)) {
-            const double n = self->open.instants[i];
-            /* The last entry counts instants as well. */
-            const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
-            const bool counted = (off > -COUNTED) && (off < COUNTED);
-            whole = whole && counted && matches(&self->open.joint[i], p + 2u, n);
-            close_gram(&self->open.joint[i], p, n, self->noise[i]);
-        }
-    }
-    whole = whole && (turns > -COUNTED) && (turns < COUNTED);
-    if (!whole) {
-        self->quarantined++;
-        zygos_motor_sums_leave_out(self);
-    }
-    return whole;
-}
-
-void zygos_motor_sums_admit(zygos_motor_sums_t *self, uint64_t cycle)
-{
-    judge(self);
-    if (self->count == ZYGOS_MAX_MOTOR_BLOCKS) {
-        make_room(self);
-    }
-    self->open.total = (double)self->instants;
-    self->open.end = cycle;
-    self->open.checksum = checksum_of_block(&self->open);
-    self->block[self->count] = self->open;
-    self->count++;
-    self->checksum = checksum_of(self);
-    zygos_motor_sums_leave_out(self);
-}
-
 void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *config, uint64_t cycle)
 {
-    if (zygos_motor_sums_close(self, config)) {
-        zygos_motor_sums_admit(self, cycle);
-    }
+    zygos_motor_sums_settle(self, config);
+    (void)zygos_motor_sums_close(self, cycle);
+    zygos_motor_sums_settle(self, config);
 }
 
 void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor)
@@ -254,17 +362,30 @@ void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor)
     for (uint32_t b = 0; b < self->count; b++) {
         zygos_motor_block_t *block = &self->block[b];
         const bool whole = is_whole(block);
-        const double kept = (factor * block->total >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
+        block->fade *= (factor * total_of(block) >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
+        seal(block, whole);
+    }
+}
+
+void zygos_motor_sums_apply_fade(zygos_motor_sums_t *self)
+{
+    for (uint32_t b = 0; b < self->count; b++) {
+        zygos_motor_block_t *block = &self->block[b];
+        if (block->fade >= 1.0) {
+            continue;
+        }
+        const bool whole = is_whole(block);
         for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
             for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
-                block->joint[i].gram[k] *= kept;
+                block->joint[i].gram[k] *= block->fade;
             }
             for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
-                block->joint[i].sum[k] *= kept;
+                block->joint[i].sum[k] *= block->fade;
             }
-            block->instants[i] *= kept;
+            block->instants[i] *= block->fade;
         }
-        block->total *= kept;
+        block->total *= block->fade;
+        block->fade = 1.0;
         seal(block, whole);
     }
 }
@@ -272,6 +393,15 @@ void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor)
 void zygos_motor_sums_drop_after(zygos_motor_sums_t *self, uint64_t cycle)
 {
     zygos_motor_sums_leave_out(self);
+    for (uint32_t tries = 0;
+         (tries < 4u * (uint32_t)(ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MAX_JOINTS)) &&
+         ((self->task == (uint32_t)ZYGOS_MOTOR_MERGE) || (self->task == (uint32_t)ZYGOS_MOTOR_SHIFT));
+         tries++) {
+        (self->task == (uint32_t)ZYGOS_MOTOR_MERGE) ? merge_joint(self) : shift(self);
+    }
+    if ((self->task != (uint32_t)ZYGOS_MOTOR_NONE) && (self->closing.end > cycle)) {
+        leave_closing_out(self);
+    }
     judge(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;
@@ -313,7 +443,8 @@ double zygos_motor_sums_check(const zygos_motor_sums_t *self, const zygos_config
 static bool is_block_whole(const zygos_motor_sums_t *self, const zygos_config_t *config,
                            const zygos_motor_block_t *block)
 {
-    bool whole = is_whole(block) && (block->total >= 0.0) && (block->total <= ZYGOS_MAX_INSTANTS);
+    bool whole = is_whole(block) && (block->total >= 0.0) && (block->total <= ZYGOS_MAX_INSTANTS) &&
+                 (block->fade >= 0.0) && (block->fade <= 1.0);
     for (uint32_t i = 0; i < config->joints; i++) {
         whole = whole && matches(&block->joint[i], self->column_map.count[i] + 2u, block->instants[i]);
     }
@@ -326,6 +457,11 @@ bool zygos_motor_sums_scrub(zygos_motor_sums_t *self, const zygos_config_t *conf
         (self->count > (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
         return false;
     }
+    if ((self->task != (uint32_t)ZYGOS_MOTOR_NONE) || (self->joint != 0)) {
+        self->quarantined += (self->task != (uint32_t)ZYGOS_MOTOR_NONE) ? 1u : 0u;
+        leave_closing_out(self);
+    }
+    self->place = 0;
     self->corrupt = 0;
     uint32_t to = 0;
     for (uint32_t b = 0; b < self->count; b++) {

@@ -248,6 +248,7 @@ static bool is_steady(const zygos_t *self)
     const zygos_accumulator_t *sums = &self->accumulator;
     const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums));
     return (off == 0) && zygos_accumulator_steady(sums) && zygos_momentum_sums_steady(&self->momentum_sums) &&
+           zygos_motor_sums_steady(&self->motor_sums) &&
            (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
@@ -337,7 +338,7 @@ static void end_joint_arc(zygos_t *self)
         zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
     }
     self->motors_forgetting = 1.0;
-    zygos_guard_end_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums, self->cycle);
+    zygos_guard_close_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums, self->cycle);
 }
 
 static void end_momentum_arc(zygos_t *self)
@@ -366,6 +367,7 @@ static void gap(zygos_t *self)
 static void settle(zygos_t *self)
 {
     zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+    zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
     zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
 }
 
@@ -404,6 +406,7 @@ static void add_impulses(zygos_t *self)
         return;
     }
     zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
+    zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
     if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
         end_joint_arc(self);
         zygos_impulse_new_arc(&self->impulse);
@@ -835,6 +838,9 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
     if (zygos_accumulator_intact(&self->accumulator, self->column_map.parameters)) {
         zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
     }
+    if (zygos_motor_sums_intact(&self->motor_sums, &self->config)) {
+        zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
+    }
     if (zygos_momentum_sums_intact(&self->momentum_sums, &self->config)) {
         zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
     }
@@ -881,6 +887,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_impulse_reset(&self->impulse);
     if (joints) {
         end_joint_arc(self);
+        zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
     } else {
         zygos_motor_sums_clear(&self->motor_sums, &self->config);
         self->motors_forgetting = 1.0;

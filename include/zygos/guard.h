@@ -101,6 +101,9 @@ typedef struct {
     double share;                              ///< Sum over its blocks of instants^2 / square.
     double compared;                           ///< Number of its blocks.
     double walk;                               ///< Uncertainty of the sum of residuals of a block.
+    double motor_worst;                        ///< Residuals over their limit of the closing arc of motor rows.
+    uint32_t motor_informative;                ///< 1: that arc could have contradicted.
+    uint32_t reserved;
     zygos_finding_t momenta;                   ///< Of the closing arc of momentum rows.
     zygos_finding_t momentum_noise;            ///< Of its noise.
     zygos_left_out_t newest[ZYGOS_GUARD_ARCS]; ///< Excluded arc number k is at k % ZYGOS_GUARD_ARCS.
@@ -150,7 +153,13 @@ void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *confi
 /// Finishes the tasks of the accumulator. Cost: a few passes over the blocks of the closing arc.
 void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums);
 
-/// The same of the momentum rows; their other tasks proceed as well.
+/// The same of the motor and of the momentum rows; their other tasks proceed as well.
+void zygos_guard_close_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                              zygos_motor_sums_t *sums, uint64_t cycle);
+void zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                                zygos_motor_sums_t *sums);
+void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                               zygos_motor_sums_t *sums);
 void zygos_guard_close_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                                 zygos_momentum_sums_t *sums, uint64_t cycle);
 void zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,

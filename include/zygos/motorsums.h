@@ -3,8 +3,11 @@
 /// The rows of a joint contain only its own parameters. Their sums are therefore separate from those of the energy rows
 /// until the solver adds both, each with a weight by its noise. The bias by the noise of the sensors is the same at
 /// every instant, and is subtracted when an arc ends. The noise that the integral of the deflection accumulates is
-/// correlated over a whole arc; therefore blocks consist of whole arcs. When all blocks are in use, neighbours are
+/// correlated over a whole arc; therefore blocks consist of whole arcs. When all blocks are in use, two neighbours are
 /// merged.
+///
+/// What follows when an arc ends is a task that proceeds by one joint, or one block, in each cycle: an arc is closing
+/// from its end until it is admitted.
 
 #ifndef ZYGOS_MOTORSUMS_H
 #define ZYGOS_MOTORSUMS_H
@@ -31,9 +34,21 @@ typedef struct {
     zygos_motor_gram_t joint[ZYGOS_MAX_JOINTS]; ///< Closed arcs: without the constants and the noise.
     double instants[ZYGOS_MAX_JOINTS];          ///< Accepted instants whose row of that joint was added.
     double total;                               ///< All accepted instants.
+    double fade;                                ///< Factor of the block (exponential forgetting).
     uint64_t end;                               ///< Number of the newest cycle.
-    uint64_t checksum;                          ///< Closed arcs: of instants, total and end.
+    uint64_t checksum;                          ///< Closed arcs: of instants, total, fade and end.
 } zygos_motor_block_t;
+
+/// What is done beside the rows of a cycle.
+enum zygos_motor_task {
+    ZYGOS_MOTOR_NONE = 0,
+    ZYGOS_MOTOR_CLOSE = 1, ///< Compares a joint of the closing arc with its row sums, and eliminates its constant.
+    ZYGOS_MOTOR_JUDGE = 2, ///< Compares it with the running solution (guard.h).
+    ZYGOS_MOTOR_ADMIT = 3, ///< Admits the arc.
+    ZYGOS_MOTOR_MERGE = 4, ///< Adds a joint of a block to that of the block before it.
+    ZYGOS_MOTOR_SHIFT = 5, ///< Moves a block to the place before it.
+    ZYGOS_MOTOR_TASKS = 6
+};
 
 /// The normal equations of the motor rows.
 typedef struct {
@@ -44,10 +59,15 @@ typedef struct {
     uint32_t instants;    ///< Accepted instants of the open arc.
     uint32_t cycles;      ///< Instants of the open arc, accepted or not.
     uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t reserved;
+    uint32_t task;        ///< enum zygos_motor_task.
+    uint32_t joint;       ///< The next joint of the task.
+    uint32_t place;       ///< The block that the task changes.
+    uint32_t whole;       ///< 1: all that was compared of the closing arc matches.
+    uint32_t closing_cycles; ///< Instants of the closing arc, accepted or not.
     double target;     ///< Instants up to which blocks are merged.
     uint64_t checksum; ///< Of count and target.
     zygos_motor_block_t open;
+    zygos_motor_block_t closing;
     zygos_motor_block_t block[ZYGOS_MAX_MOTOR_BLOCKS];
 } zygos_motor_sums_t;
 
@@ -67,21 +87,36 @@ void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *conf
 void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
                           double weight);
 
-/// Ends the open arc, whose newest cycle is given: eliminates its constants and subtracts its noise, or drops it when
-/// it is too short. Cost: one pass over the sums of all joints; in the worst case one merge of all blocks.
+/// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and then
+/// false is returned. Needs that no task is open. Cost: the sums of an arc are copied.
+bool zygos_motor_sums_close(zygos_motor_sums_t *self, uint64_t cycle);
+
+/// Proceeds with the task by one joint or one block. ZYGOS_MOTOR_JUDGE is that of the caller, who ends it by the next
+/// function: this one does nothing then. Cost: one pass over the sums of a joint, or of a block.
+void zygos_motor_sums_proceed(zygos_motor_sums_t *self, const zygos_config_t *config);
+void zygos_motor_sums_judged(zygos_motor_sums_t *self, bool admitted);
+
+/// Finishes the tasks, and admits the closing arc unless it does not match its row sums. Cost: a few passes over the
+/// sums of an arc, and one over the blocks where two are merged.
+void zygos_motor_sums_settle(zygos_motor_sums_t *self, const zygos_config_t *config);
+
+/// Returns whether a cycle addresses nothing outside the struct. Cost: four comparisons.
+bool zygos_motor_sums_steady(const zygos_motor_sums_t *self);
+
+/// Ends the open arc and settles.
 void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
-/// The same in two calls. The first eliminates the constants and returns true, or drops an arc that is too short and
-/// returns false. The closed arc is then in self->open. The second call either admits it to the blocks or leaves it
-/// out.
-bool zygos_motor_sums_close(zygos_motor_sums_t *self, const zygos_config_t *config);
-void zygos_motor_sums_admit(zygos_motor_sums_t *self, uint64_t cycle);
+/// Drops the open arc.
 void zygos_motor_sums_leave_out(zygos_motor_sums_t *self);
 
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting).
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: a few instructions for each block.
 void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor);
 
-/// Drops the open arc, and the blocks with cycles after the given one.
+/// Multiplies each block by its factor, which is 1 then. Needs finished tasks. Cost: one pass over the blocks of which
+/// the factor is not 1.
+void zygos_motor_sums_apply_fade(zygos_motor_sums_t *self);
+
+/// Drops the open arc, the closing one, and the blocks with cycles after the given one.
 void zygos_motor_sums_drop_after(zygos_motor_sums_t *self, uint64_t cycle);
 
 /// Drops the blocks up to the given cycle, and returns their number.

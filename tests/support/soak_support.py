@@ -54,7 +54,7 @@ def instants(flight: Flight) -> dict[str, list[float]]:
     energy, motors, momentum = flight.native.accumulator, flight.native.motor_sums, flight.native.momentum_sums
     return {
         "energy": [energy.fade[place] * energy.block[place].instants for place in energy.order[0 : energy.open]],
-        "motors": [motors.block[b].total for b in range(motors.count)],
+        "motors": [motors.block[b].fade * motors.block[b].total for b in range(motors.count)],
         "momentum": [momentum.block[b].fade * momentum.block[b].instants for b in range(momentum.count)],
     }
 

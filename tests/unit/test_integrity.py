@@ -276,8 +276,8 @@ def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(
     out.cycles(part(again(out.arm, motion, int(out.native.cycle) + 1, np.random.default_rng(1)), 0, 1))
     if kind == "accumulator":
         lib.zygos_accumulator_settle(ffi.addressof(sums))
-    if kind == "momentum_sums":
-        lib.zygos_momentum_sums_settle(ffi.addressof(sums), ffi.addressof(out.native, "config"))
+    else:
+        getattr(lib, f"zygos_{kind}_settle")(ffi.addressof(sums), ffi.addressof(out.native, "config"))
     assert sums.quarantined == 1
     assert closed() == before
     fly(out, motion, 1, np.random.default_rng(2))

@@ -35,9 +35,10 @@ def motion(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
 
 def settle(flight: Flight) -> None:
     """Finish the tasks that go on beside the cycles."""
-    names = ("guard", "config", "column_map", "accumulator", "momentum_sums")
-    guard, config, columns, energy, momentum = (ffi.addressof(flight.native, name) for name in names)
+    names = ("guard", "config", "column_map", "accumulator", "motor_sums", "momentum_sums")
+    guard, config, columns, energy, motors, momentum = (ffi.addressof(flight.native, name) for name in names)
     lib.zygos_guard_settle_energy(guard, config, energy)
+    lib.zygos_guard_settle_motors(guard, config, columns, motors)
     lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
 
 
@@ -295,7 +296,7 @@ def _motor_total(native: Any, instants: float) -> None:
     block = native.motor_sums.block[1]
     block.total = instants
     checksum = lib.zygos_checksum_doubles(1, block.instants, len(block.instants))
-    checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double *", block.total), 1)
+    checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double[]", [block.total, block.fade]), 2)
     block.checksum = lib.zygos_checksum_number(checksum, block.end)
 
 
@@ -433,7 +434,7 @@ def test_momentum_rows_without_components_are_not_formed(flight: Flight, motion:
 def crowded(flight: Flight, kind: str, motion: Cycles) -> Any:
     """The sums, as many blocks of which are in use as can be; and the arc behind them, still open."""
     sums, rng, step = getattr(flight.native, kind), np.random.default_rng(0), 10
-    most, shortest = len(sums.block) - (kind == "momentum_sums"), 50
+    most, shortest = len(sums.block) - 1, 50
     while sums.count < most:
         rest = again(flight.arm, motion, int(flight.native.cycle) + 1, rng)
         for first in range(0, len(rest), step):
