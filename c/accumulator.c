@@ -93,8 +93,8 @@ static bool repair(zygos_accumulator_t *self)
 static bool are_places_possible(const zygos_accumulator_t *self)
 {
     bool good = (self->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (self->fresh <= self->count) &&
-                (self->open <= self->fresh) && (self->count != self->fresh + 1u) &&
-                (self->fresh != self->open + 1u) && (self->window <= self->open) && (self->newest <= self->window) &&
+                (self->open <= self->fresh) && (self->count != self->fresh + 1u) && (self->fresh != self->open + 1u) &&
+                (self->window <= self->open) && (self->newest <= self->window) &&
                 (self->ready <= (uint32_t)ZYGOS_MAX_BLOCKS - self->count);
     for (uint32_t r = 0; r < (uint32_t)ZYGOS_MAX_BLOCKS; r++) {
         good = good && (self->order[r] < (uint32_t)ZYGOS_MAX_BLOCKS);
@@ -485,7 +485,8 @@ static void begin_next_task(zygos_accumulator_t *self)
         const uint32_t rank = pair_to_merge(self);
         self->checksum = checksum_of(self); /* with the target */
         if (rank < self->count) {
-            begin_task(self, ZYGOS_TASK_MERGE, ZYGOS_PLACES((uint32_t)self->order[rank], self->order[rank + 1u]));
+            begin_task(self, ZYGOS_TASK_MERGE,
+                       ZYGOS_PLACES((uint32_t)self->order[rank], (uint32_t)self->order[rank + 1u]));
             return;
         }
     }
@@ -512,9 +513,8 @@ static void proceed_verify(zygos_accumulator_t *self)
     if (!task_ends(self, end)) {
         return;
     }
-    const bool whole =
-        weighs_what_it_should(block, self->width, self->overlap) &&
-        (zygos_gram_scanned(&self->scan, block->gram, self->width, block->sum, block->instants) <= 1.0);
+    const bool whole = weighs_what_it_should(block, self->width, self->overlap) &&
+                       (zygos_gram_scanned(&self->scan, block->gram, self->width, block->sum, block->instants) <= 1.0);
     self->whole &= whole ? 1u : 0u;
     self->overlap = block->overlap;
     const double *s = &block->gram[zygos_gram_entries(self->width - 1u)];
@@ -1118,7 +1118,8 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
     const double adds = (double)self->accepted;
     for (uint32_t b = 0; whole && (b < ZYGOS_ROW_BUFFERS); b++) {
         const zygos_noise_sums_t *noise = &self->buffer[b].noise;
-        whole = is_count(self->buffer[b].instants) && (zygos_gram_check(noise->gram, width - 1u, noise->sum, adds) <= 1.0);
+        whole =
+            is_count(self->buffer[b].instants) && (zygos_gram_check(noise->gram, width - 1u, noise->sum, adds) <= 1.0);
     }
     for (uint32_t n = 0; whole && (n < 2u); n++) {
         const zygos_noise_sums_t *noise = &self->noise_open[n];

@@ -171,8 +171,9 @@ static bool is_factor(double fade)
 
 bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
 {
-    return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) && (self->row <= width_of(self)) &&
-           (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) && (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES);
+    return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) &&
+           (self->row <= width_of(self)) && (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
+           (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES);
 }
 
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
@@ -550,9 +551,9 @@ static double closed_instants(const zygos_momentum_sums_t *self)
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 {
     zygos_momentum_sums_leave_out(self);
-    for (uint32_t tries = 0; (tries < 4u * (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
-                             ((self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) ||
-                              (self->task == (uint32_t)ZYGOS_MOMENTUM_SHIFT));
+    for (uint32_t tries = 0;
+         (tries < 4u * (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
+         ((self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) || (self->task == (uint32_t)ZYGOS_MOMENTUM_SHIFT));
          tries++) {
         (self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) ? merge(self) : shift(self);
     }
@@ -579,8 +580,8 @@ uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cy
     while ((drop < self->count) && (self->block[drop].end <= cycle)) {
         drop++;
     }
-    for (uint32_t b = drop; (drop > 0) && (b < self->count); b++) {
-        self->block[b - drop] = self->block[b];
+    for (uint32_t b = 0; (drop > 0) && (b + drop < self->count); b++) {
+        self->block[b] = self->block[b + drop];
     }
     self->count -= drop;
     const double kept = closed_instants(self);

@@ -1258,7 +1258,8 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
     for (uint32_t b = 0; b < first; b++) {
         before += zygos_accumulator_at(sums, b)->instants;
-        out->left_out[ZYGOS_ENERGY_ROWS] += (zygos_accumulator_at(sums, b)->end != zygos_accumulator_at(sums, b + 1u)->end) ? 1u : 0u;
+        out->left_out[ZYGOS_ENERGY_ROWS] +=
+            (zygos_accumulator_at(sums, b)->end != zygos_accumulator_at(sums, b + 1u)->end) ? 1u : 0u;
     }
     out->cycle = work->cycle;
     out->refused = sums->refused;
@@ -1398,7 +1399,8 @@ static bool may_hold_bad_arcs(const zygos_estimate_t *out)
 static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
 {
     uint32_t b = from;
-    while ((b > 0) && (b < sums->open) && (zygos_accumulator_at(sums, b)->end == zygos_accumulator_at(sums, b - 1u)->end)) {
+    while ((b > 0) && (b < sums->open) &&
+           (zygos_accumulator_at(sums, b)->end == zygos_accumulator_at(sums, b - 1u)->end)) {
         b++;
     }
     return b;
@@ -1412,7 +1414,8 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     double behind = 0.0;
     uint32_t arcs = 0;
     for (uint32_t b = 0; b < sums->open; b++) {
-        const bool last_of_arc = (b + 1u == sums->open) || (zygos_accumulator_at(sums, b + 1u)->end != zygos_accumulator_at(sums, b)->end);
+        const bool last_of_arc =
+            (b + 1u == sums->open) || (zygos_accumulator_at(sums, b + 1u)->end != zygos_accumulator_at(sums, b)->end);
         before += (b < first) ? zygos_accumulator_at(sums, b)->instants : 0.0;
         behind += (b < first) ? 0.0 : zygos_accumulator_at(sums, b)->instants;
         arcs += ((b >= first) && last_of_arc) ? 1u : 0u;

@@ -248,8 +248,7 @@ static bool is_steady(const zygos_t *self)
     const zygos_accumulator_t *sums = &self->accumulator;
     const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums));
     return (off == 0) && zygos_accumulator_steady(sums) && zygos_momentum_sums_steady(&self->momentum_sums) &&
-           zygos_motor_sums_steady(&self->motor_sums) &&
-           (self->smoother.position < self->smoother.window) &&
+           zygos_motor_sums_steady(&self->motor_sums) && (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
             (zygos_joint_intact(&self->joint, config) && zygos_joint_sums_steady(&self->joint_sums, config)));

@@ -13,9 +13,9 @@
 /// All cycles cost nearly the same. The rows of ZYGOS_BUFFER_ROWS instants are summed in a buffer, which is then added
 /// to two blocks, a slice in each cycle. Everything else that takes time in proportion to a block is a task that
 /// proceeds by a part in each cycle: to verify the blocks of an arc that ended, to eliminate its constant, to compare
-/// it with the running solution (guard.h), to admit it to the closed arcs, to merge two blocks, and to clear one. An arc
-/// is closing from its end until it is admitted. Who reads the sums finishes these tasks on a copy first; the result is
-/// then the same as if they had been finished when the arc ended.
+/// it with the running solution (guard.h), to admit it to the closed arcs, to merge two blocks, and to clear one. An
+/// arc is closing from its end until it is admitted. Who reads the sums finishes these tasks on a copy first; the
+/// result is then the same as if they had been finished when the arc ended.
 ///
 /// The bias of the sums by noise (noise.h) is summed beside the rows of a buffer, and is subtracted with them.
 ///
@@ -84,43 +84,41 @@ typedef struct {
 /// The places of two blocks in one number.
 #define ZYGOS_PLACES(first, second) ((first) | ((second) << 8u))
 
-/// What is done beside the rows of a cycle.
-enum zygos_accumulator_task {
-    ZYGOS_TASK_NONE = 0,
-    ZYGOS_TASK_CLEAR = 1,  ///< Clears a free block.
-    ZYGOS_TASK_MERGE = 2,  ///< Adds a block to the one before it.
-    ZYGOS_TASK_VERIFY = 3, ///< Compares a block of the closing arc with its row sums.
-    ZYGOS_TASK_CENTRE = 4, ///< Eliminates the constant from it.
-    ZYGOS_TASK_JUDGE = 5,  ///< Compares it with the running solution (guard.h); after the last one the whole arc.
-    ZYGOS_TASK_ADMIT = 6,  ///< Admits the closing arc with its noise to the closed ones, or leaves it out.
-    ZYGOS_TASKS = 7
-};
+/// The tasks, which are done beside the rows of a cycle.
+#define ZYGOS_TASK_NONE 0u
+#define ZYGOS_TASK_CLEAR 1u  ///< Clears a free block.
+#define ZYGOS_TASK_MERGE 2u  ///< Adds a block to the one before it.
+#define ZYGOS_TASK_VERIFY 3u ///< Compares a block of the closing arc with its row sums.
+#define ZYGOS_TASK_CENTRE 4u ///< Eliminates the constant from it.
+#define ZYGOS_TASK_JUDGE 5u  ///< Compares it with the running solution (guard.h); after the last one the whole arc.
+#define ZYGOS_TASK_ADMIT 6u  ///< Admits the closing arc with its noise to the closed ones, or leaves it out.
+#define ZYGOS_TASKS 7u
 
 /// The normal equations of the energy rows.
 typedef struct {
-    uint32_t width;        ///< p + 2.
-    uint32_t count;        ///< Number of blocks in use: of closed arcs, of the closing one, and of the open one.
-    uint32_t open;         ///< Number of blocks of closed arcs, which are the first.
-    uint32_t fresh;        ///< The first block of the open arc; open, if no arc is closing.
-    uint32_t newest;       ///< First block of the newest arcs that have enough instants to be compared.
-    uint32_t window;       ///< First block of the arcs after these, which do not have enough yet.
-    uint32_t ready;        ///< Number of free blocks that are cleared; they have the last places in order.
-    uint32_t arc_instants; ///< Accepted instants of the open arc.
-    uint32_t arcs;         ///< Arcs that were admitted. This and the next wrap at 2^32.
-    uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
-    uint32_t corrupt;      ///< 1: the members under the checksum did not match it, and no single bit explains that.
-    uint32_t filled;       ///< Instants in the buffer that is being filled, accepted or not.
-    uint32_t filling;      ///< Which of the buffers is being filled; the others are added to the blocks.
-    uint32_t parity;       ///< 0 or 1 in turn: which of noise_open is that of the open arc.
-    uint32_t noisy;        ///< 1: noise is declared and subtracted.
-    uint32_t quarantined;  ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t twin;         ///< ZYGOS_ACCUMULATOR_TWIN, with which each cycle compares the members in it.
-    uint32_t task;         ///< enum zygos_accumulator_task.
-    uint32_t places;       ///< The block of the task, and the one that is added to it.
-    uint32_t row;          ///< The next row of the task.
-    uint32_t rank;         ///< The next block of the closing arc.
-    uint32_t whole;        ///< 1: all that was verified of the closing arc matches.
-    uint32_t admitted;     ///< 1: the closing arc is admitted.
+    uint32_t width;            ///< p + 2.
+    uint32_t count;            ///< Number of blocks in use: of closed arcs, of the closing one, and of the open one.
+    uint32_t open;             ///< Number of blocks of closed arcs, which are the first.
+    uint32_t fresh;            ///< The first block of the open arc; open, if no arc is closing.
+    uint32_t newest;           ///< First block of the newest arcs that have enough instants to be compared.
+    uint32_t window;           ///< First block of the arcs after these, which do not have enough yet.
+    uint32_t ready;            ///< Number of free blocks that are cleared; they have the last places in order.
+    uint32_t arc_instants;     ///< Accepted instants of the open arc.
+    uint32_t arcs;             ///< Arcs that were admitted. This and the next wrap at 2^32.
+    uint32_t arcs_dropped;     ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
+    uint32_t corrupt;          ///< 1: the members under the checksum did not match it, and no single bit explains that.
+    uint32_t filled;           ///< Instants in the buffer that is being filled, accepted or not.
+    uint32_t filling;          ///< Which of the buffers is being filled; the others are added to the blocks.
+    uint32_t parity;           ///< 0 or 1 in turn: which of noise_open is that of the open arc.
+    uint32_t noisy;            ///< 1: noise is declared and subtracted.
+    uint32_t quarantined;      ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
+    uint32_t twin;             ///< ZYGOS_ACCUMULATOR_TWIN, with which each cycle compares the members in it.
+    uint32_t task;             ///< One of the tasks above.
+    uint32_t places;           ///< The block of the task, and the one that is added to it.
+    uint32_t row;              ///< The next row of the task.
+    uint32_t rank;             ///< The next block of the closing arc.
+    uint32_t whole;            ///< 1: all that was verified of the closing arc matches.
+    uint32_t admitted;         ///< 1: the closing arc is admitted.
     uint32_t closing_instants; ///< Accepted instants of the closing arc.
     uint32_t closing_cycles;   ///< Its cycles.
     uint32_t reserved;
@@ -131,17 +129,17 @@ typedef struct {
     double segment;       ///< Accepted instants of the open segment.
     uint64_t accepted;    ///< Instants in closed arcs, in the closing one and in the open one.
     uint64_t refused;     ///< Instants that failed the bandwidth test.
-    uint64_t checksum;    ///< Of width, count, open, fresh, newest, window, ready, arcs, enough, target, noise_fade, order
-                          ///< and fade.
-    double noise_fade;    ///< Factor of noise_closed.
-    double overlap;       ///< What the block of the task shares with the block before it.
+    uint64_t checksum; ///< Of width, count, open, fresh, newest, window, ready, arcs, enough, target, noise_fade, order
+                       ///< and fade.
+    double noise_fade; ///< Factor of noise_closed.
+    double overlap;    ///< What the block of the task shares with the block before it.
     double mean[ZYGOS_MAX_ROW]; ///< Of the closing arc.
     zygos_gram_scan_t scan;     ///< Row sums of the block that is verified.
     zygos_row_buffer_t buffer[ZYGOS_ROW_BUFFERS];
-    zygos_noise_sums_t noise_open[2]; ///< Noise of the open and of the closing arc, subtracted from their blocks.
-    zygos_noise_sums_t noise_closed;  ///< Noise of closed arcs, subtracted; reduced in proportion when an arc is
-                                      ///< dropped. Without the factor noise_fade.
-    double fade[ZYGOS_MAX_BLOCKS];    ///< Factors of the blocks (exponential forgetting), by place.
+    zygos_noise_sums_t noise_open[2];  ///< Noise of the open and of the closing arc, subtracted from their blocks.
+    zygos_noise_sums_t noise_closed;   ///< Noise of closed arcs, subtracted; reduced in proportion when an arc is
+                                       ///< dropped. Without the factor noise_fade.
+    double fade[ZYGOS_MAX_BLOCKS];     ///< Factors of the blocks (exponential forgetting), by place.
     uint8_t order[ZYGOS_ORDER_PLACES]; ///< The places of the blocks in order of time, then those of free blocks.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;

@@ -94,15 +94,15 @@ typedef struct {
     double contradiction[ZYGOS_KINDS_OF_ROWS];     ///< Residuals of the newest arc over their limit; excluded above 1.
     uint64_t since;                                ///< Estimates up to this cycle belong to another arm.
     uint64_t agreed;                               ///< The newest cycle before the consecutive segments of joint rows.
-    uint64_t dropped;                          ///< Sums up to this cycle were dropped, because they contained bad arcs.
-    zygos_finding_t rows;                      ///< Of the blocks of the closing arc that were compared.
-    zygos_finding_t noise;                     ///< Of its noise.
-    zygos_finding_t blocks;                    ///< Of the sums of residuals of its blocks.
-    double share;                              ///< Sum over its blocks of instants^2 / square.
-    double compared;                           ///< Number of its blocks.
-    double walk;                               ///< Uncertainty of the sum of residuals of a block.
-    double motor_worst;                        ///< Residuals over their limit of the closing arc of motor rows.
-    uint32_t motor_informative;                ///< 1: that arc could have contradicted.
+    uint64_t dropped;           ///< Sums up to this cycle were dropped, because they contained bad arcs.
+    zygos_finding_t rows;       ///< Of the blocks of the closing arc that were compared.
+    zygos_finding_t noise;      ///< Of its noise.
+    zygos_finding_t blocks;     ///< Of the sums of residuals of its blocks.
+    double share;               ///< Sum over its blocks of instants^2 / square.
+    double compared;            ///< Number of its blocks.
+    double walk;                ///< Uncertainty of the sum of residuals of a block.
+    double motor_worst;         ///< Residuals over their limit of the closing arc of motor rows.
+    uint32_t motor_informative; ///< 1: that arc could have contradicted.
     uint32_t reserved;
     zygos_finding_t momenta;                   ///< Of the closing arc of momentum rows.
     zygos_finding_t momentum_noise;            ///< Of its noise.

@@ -49,36 +49,34 @@ typedef struct {
 /// Number of cycles in which a task reads or changes each entry of a block once.
 #define ZYGOS_MOMENTUM_PASS_CYCLES 4u
 
-/// What is done beside the rows of a cycle.
-enum zygos_momentum_task {
-    ZYGOS_MOMENTUM_NONE = 0,
-    ZYGOS_MOMENTUM_VERIFY_ROWS = 1,  ///< Compares the closing arc with its row sums.
-    ZYGOS_MOMENTUM_VERIFY_NOISE = 2, ///< Compares its noise with its row sums.
-    ZYGOS_MOMENTUM_ELIMINATE = 3,    ///< Eliminates its constants and subtracts its noise.
-    ZYGOS_MOMENTUM_JUDGE = 4,        ///< Compares it with the running solution (guard.h).
-    ZYGOS_MOMENTUM_ADMIT = 5,        ///< Admits it with its noise to the closed arcs, or leaves it out.
-    ZYGOS_MOMENTUM_MERGE = 6,        ///< Adds a block to the one before it.
-    ZYGOS_MOMENTUM_SHIFT = 7,        ///< Moves a block to the place before it.
-    ZYGOS_MOMENTUM_TASKS = 8
-};
+/// The tasks, which are done beside the rows of a cycle.
+#define ZYGOS_MOMENTUM_NONE 0u
+#define ZYGOS_MOMENTUM_VERIFY_ROWS 1u  ///< Compares the closing arc with its row sums.
+#define ZYGOS_MOMENTUM_VERIFY_NOISE 2u ///< Compares its noise with its row sums.
+#define ZYGOS_MOMENTUM_ELIMINATE 3u    ///< Eliminates its constants and subtracts its noise.
+#define ZYGOS_MOMENTUM_JUDGE 4u        ///< Compares it with the running solution (guard.h).
+#define ZYGOS_MOMENTUM_ADMIT 5u        ///< Admits it with its noise to the closed arcs, or leaves it out.
+#define ZYGOS_MOMENTUM_MERGE 6u        ///< Adds a block to the one before it.
+#define ZYGOS_MOMENTUM_SHIFT 7u        ///< Moves a block to the place before it.
+#define ZYGOS_MOMENTUM_TASKS 8u
 
 /// The normal equations of the momentum rows.
 typedef struct {
-    uint32_t columns;     ///< Number of columns; 0 where the configuration has no such rows.
-    uint32_t components;  ///< Number of components: 3 in space, 1 in a plane.
-    uint32_t count;       ///< Number of blocks of closed arcs.
-    uint32_t corrupt;     ///< 1: count and target did not match, and no single bit explains that.
-    uint32_t cycles;      ///< Instants of the open arc, accepted or not.
-    uint32_t signals;     ///< Sensors whose noise is subtracted; 0 where none is.
-    uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_scrub().
-    uint32_t task;        ///< enum zygos_momentum_task.
-    uint32_t row;         ///< The next row of the task.
-    uint32_t place;       ///< The block that the task changes.
-    uint32_t admitted;    ///< 1: the closing arc is admitted.
-    uint32_t closing_cycles; ///< Instants of the closing arc, accepted or not.
-    double target;        ///< Instants up to which blocks are merged.
-    double noise_fade;    ///< Factor of noise_closed.
-    uint64_t checksum;    ///< Of count, target and noise_fade.
+    uint32_t columns;                       ///< Number of columns; 0 where the configuration has no such rows.
+    uint32_t components;                    ///< Number of components: 3 in space, 1 in a plane.
+    uint32_t count;                         ///< Number of blocks of closed arcs.
+    uint32_t corrupt;                       ///< 1: count and target did not match, and no single bit explains that.
+    uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
+    uint32_t signals;                       ///< Sensors whose noise is subtracted; 0 where none is.
+    uint32_t quarantined;                   ///< Arcs and blocks that were dropped since the last zygos_scrub().
+    uint32_t task;                          ///< One of the tasks above.
+    uint32_t row;                           ///< The next row of the task.
+    uint32_t place;                         ///< The block that the task changes.
+    uint32_t admitted;                      ///< 1: the closing arc is admitted.
+    uint32_t closing_cycles;                ///< Instants of the closing arc, accepted or not.
+    double target;                          ///< Instants up to which blocks are merged.
+    double noise_fade;                      ///< Factor of noise_closed.
+    uint64_t checksum;                      ///< Of count, target and noise_fade.
     double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, with the weight of its turn (momentum.h).
     double rotor[ZYGOS_MAX_JOINTS];         ///< Contribution of the rotors' rates in one instant.
     zygos_momentum_gram_t noise_open;       ///< Noise of the open arc, not yet subtracted, without the rotors.
@@ -112,8 +110,8 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
                              const zygos_momentum_t *momentum, const zygos_arm_state_t *state,
                              const zygos_motion_t *motion, double weight);
 
-/// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and then
-/// false is returned. Needs that no task is open. Cost: one pass over the sums of an arc, which are copied.
+/// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and
+/// then false is returned. Needs that no task is open. Cost: one pass over the sums of an arc, which are copied.
 bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Proceeds with the task. ZYGOS_MOMENTUM_JUDGE is that of the caller, who ends it by the next function: this one does

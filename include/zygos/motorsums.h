@@ -39,33 +39,31 @@ typedef struct {
     uint64_t checksum;                          ///< Closed arcs: of instants, total, fade and end.
 } zygos_motor_block_t;
 
-/// What is done beside the rows of a cycle.
-enum zygos_motor_task {
-    ZYGOS_MOTOR_NONE = 0,
-    ZYGOS_MOTOR_CLOSE = 1, ///< Compares a joint of the closing arc with its row sums, and eliminates its constant.
-    ZYGOS_MOTOR_JUDGE = 2, ///< Compares it with the running solution (guard.h).
-    ZYGOS_MOTOR_ADMIT = 3, ///< Admits the arc.
-    ZYGOS_MOTOR_MERGE = 4, ///< Adds a joint of a block to that of the block before it.
-    ZYGOS_MOTOR_SHIFT = 5, ///< Moves a block to the place before it.
-    ZYGOS_MOTOR_TASKS = 6
-};
+/// The tasks, which are done beside the rows of a cycle.
+#define ZYGOS_MOTOR_NONE 0u
+#define ZYGOS_MOTOR_CLOSE 1u ///< Compares a joint of the closing arc with its row sums, and eliminates its constant.
+#define ZYGOS_MOTOR_JUDGE 2u ///< Compares it with the running solution (guard.h).
+#define ZYGOS_MOTOR_ADMIT 3u ///< Admits the arc.
+#define ZYGOS_MOTOR_MERGE 4u ///< Adds a joint of a block to that of the block before it.
+#define ZYGOS_MOTOR_SHIFT 5u ///< Moves a block to the place before it.
+#define ZYGOS_MOTOR_TASKS 6u
 
 /// The normal equations of the motor rows.
 typedef struct {
     zygos_impulse_column_map_t column_map;
     double noise[ZYGOS_MAX_JOINTS][ZYGOS_MAX_PACKED_IMPULSE]; ///< Expected products of noise in one instant.
     uint32_t count;                                           ///< Number of blocks of closed arcs.
-    uint32_t corrupt;     ///< 1: count and target did not match the checksum, and no single bit explains that.
-    uint32_t instants;    ///< Accepted instants of the open arc.
-    uint32_t cycles;      ///< Instants of the open arc, accepted or not.
-    uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t task;        ///< enum zygos_motor_task.
-    uint32_t joint;       ///< The next joint of the task.
-    uint32_t place;       ///< The block that the task changes.
-    uint32_t whole;       ///< 1: all that was compared of the closing arc matches.
+    uint32_t corrupt;        ///< 1: count and target did not match the checksum, and no single bit explains that.
+    uint32_t instants;       ///< Accepted instants of the open arc.
+    uint32_t cycles;         ///< Instants of the open arc, accepted or not.
+    uint32_t quarantined;    ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
+    uint32_t task;           ///< One of the tasks above.
+    uint32_t joint;          ///< The next joint of the task.
+    uint32_t place;          ///< The block that the task changes.
+    uint32_t whole;          ///< 1: all that was compared of the closing arc matches.
     uint32_t closing_cycles; ///< Instants of the closing arc, accepted or not.
-    double target;     ///< Instants up to which blocks are merged.
-    uint64_t checksum; ///< Of count and target.
+    double target;           ///< Instants up to which blocks are merged.
+    uint64_t checksum;       ///< Of count and target.
     zygos_motor_block_t open;
     zygos_motor_block_t closing;
     zygos_motor_block_t block[ZYGOS_MAX_MOTOR_BLOCKS];
@@ -87,8 +85,8 @@ void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *conf
 void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
                           double weight);
 
-/// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and then
-/// false is returned. Needs that no task is open. Cost: the sums of an arc are copied.
+/// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and
+/// then false is returned. Needs that no task is open. Cost: the sums of an arc are copied.
 bool zygos_motor_sums_close(zygos_motor_sums_t *self, uint64_t cycle);
 
 /// Proceeds with the task by one joint or one block. ZYGOS_MOTOR_JUDGE is that of the caller, who ends it by the next

@@ -42,17 +42,17 @@ SIZES = (
 )  # fmt: skip
 PLACES = (
     "frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first",
-    "row_turn", "row_step", "row_signal", "row_moved",
+    "row_turn", "row_step", "row_signal", "row_moved", "energy_task", "motor_task", "momentum_task",
 )  # fmt: skip
 """Where a cycle stands, as bench/driver.c has it."""
 RELEVANT: dict[str, tuple[str, ...]] = {
     "wire": ("frames",), "cycle": ("frames",), "smoother": ("position",), "kinematics": (), "balance": ("torque_at",),
-    "impulse": ("joint_turn", "torque_at"), "momentum": ("momentum_turn",),
+    "impulse": ("joint_turn", "torque_at", "motor_task"), "momentum": ("momentum_turn", "momentum_task"),
     "joint": ("row_turn", "row_step", "row_signal", "row_moved"), "noise": ("turn", "torque_at"),
-    "accumulator": ("filled", "first"), "frame": ("frames",),
+    "accumulator": ("filled", "first", "energy_task"), "frame": ("frames",),
 }  # fmt: skip
 """On which of them the cost of a stage may depend."""
-REST = ("row_turn",)
+REST = ("row_turn", "energy_task", "motor_task", "momentum_task")
 """On which of them the rest of a step may depend, which is c/zygos.c itself."""
 DRIVER = ROOT / "tests" / "bench" / "driver.c"
 
@@ -94,7 +94,7 @@ class Count:
 
 
 def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int]:
-    """What bench/driver.c wrote: sizes, (n, 13) a kind and a place for each cycle, and the rank."""
+    """What bench/driver.c wrote: sizes, (n, 16) a kind and a place for each cycle, and the rank."""
     words = np.fromfile(path, dtype="<u4").astype(np.int64)
     body, rank = words[len(SIZES) : -1].reshape(-1, 1 + len(PLACES)), int(words[-1])
     return dict(zip(SIZES, words[: len(SIZES)].tolist(), strict=True)), body, rank

@@ -34,8 +34,8 @@ static struct {
 
 enum kind {
     KIND_FILLS, /* the windows are not full yet: no row */
-    KIND_BLOCK, /* the row opens a segment, and so a block of the normal equations; or a segment of joint rows is
-                   complete */
+    KIND_BLOCK, /* the row opens a segment, and so a block of the normal equations; a task begins or ends; or a segment
+                   of joint rows is complete */
     KIND_ARC,   /* the row begins or ends its arc, or that of the motor or momentum rows */
     KIND_CYCLE  /* any other row */
 };
@@ -46,7 +46,18 @@ enum kind {
 typedef struct {
     uint32_t kind, frames, turn, joint_turn, momentum_turn, filled, torque_at, position, first;
     uint32_t row_turn, row_step, row_signal, row_moved;
+    uint32_t energy_task, motor_task, momentum_task;
 } place_t;
+
+/* The part of a task that a cycle does, and how many buffers wait beside it. */
+static uint32_t energy_task(const zygos_accumulator_t *sums)
+{
+    uint32_t waiting = 0;
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        waiting += (sums->buffer[b].shared < (uint32_t)ZYGOS_BUFFER_ROWS) ? 1u : 0u;
+    }
+    return (waiting << 24u) | (sums->task << 16u) | sums->row;
+}
 
 /* What counts instructions sees this call behind each cycle. */
 __attribute__((noinline)) void driver_mark(void)
@@ -69,8 +80,14 @@ static place_t step(uint32_t frames)
     const uint32_t signal = joints->turn;
     const uint32_t cursor = joints->cursor;
     const uint32_t adding = joints->adding;
+    const uint32_t tasks[3] = { sums->task, arm.motor_sums.task, arm.momentum_sums.task };
+    const uint32_t of_energy = energy_task(sums);
+    const uint32_t of_motors = (arm.motor_sums.task << 16u) | arm.motor_sums.joint;
+    const uint32_t of_momentum = (arm.momentum_sums.task << 16u) | arm.momentum_sums.row;
     (void)zygos_step(&arm);
     driver_mark();
+    const bool turned =
+        (sums->task != tasks[0]) || (arm.motor_sums.task != tasks[1]) || (arm.momentum_sums.task != tasks[2]);
     const bool energy = (config->arc_cycles > 0);
     const bool instant = energy ? (arm.instant == 1) : (joints->accepted + joints->refused != instants);
     const uint32_t left = config->joint_row_cycles / 2u - arm.joint.position;
@@ -79,7 +96,7 @@ static place_t step(uint32_t frames)
     const bool edge = others || (energy && ((sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1)));
     const bool first = (arm.arc <= (uint32_t)ZYGOS_BUFFER_ROWS); /* nothing is shared out yet */
     const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
-    const bool block = (energy && opened) || (joints->segments != segments);
+    const bool block = (energy && opened) || turned || (joints->segments != segments);
     const uint32_t kind = edge ? KIND_ARC : (block ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
     return (place_t){
@@ -97,6 +114,9 @@ static place_t step(uint32_t frames)
         .row_signal = (row > 0) ? signal : 0u,
         .row_moved =
             adding + (((adding == 1u) && (cursor + joints->slice >= zygos_gram_entries(joints->width))) ? 2u : 0u),
+        .energy_task = of_energy,
+        .motor_task = of_motors,
+        .momentum_task = of_momentum,
     };
 }
 
