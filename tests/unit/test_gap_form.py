@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from test_gap_arms import SECONDS, begun, standing
 
-from oracles.arms import Plant
+from oracles.arms import Plant, pendulum
 from oracles.hidden import Law, MotorCoulomb, TanhCoulomb
 from oracles.score import projected
 from zygos.can.run import Run
 from zygos.gap.balances import law_along
 from zygos.gap.form import form_sigma
+from zygos.gap.ground import explain
+from zygos.gap.ground.explain import explain_ground
 from zygos.gap.runs import record_of
 from zygos.gap.study import Study, again, base_values
 
@@ -48,6 +50,26 @@ def test_the_size_that_a_form_leaves_open(law: Law, least: float, most: float) -
     assert abs(value - size) < 2.0 * np.hypot(noise, form)
     # noise alone explains the size of a law of the column's form, and not that of the other
     assert (abs(value - size) > 4.0 * noise) == (least > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "least", "most"), [(MotorCoulomb(0, 0.1), 0.0, 0.02), (TanhCoulomb(0, 0.1, v0=0.3), 0.03, 0.2)]
+)
+def test_the_size_that_a_form_leaves_open_on_the_ground(
+    law: Law, least: float, most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trial = pendulum()
+    model = replace(trial.drawn, effects=())
+    made = [Plant(trial, model, (law,)).run(which, 3, 2.0 * SECONDS) for which in (0, 1)]
+    runs = [Run(trial.arm, table=cycles, path=Path(name)) for (cycles, _), name in zip(made, "ab", strict=True)]
+    size = projected(law, [motion for _, motion in made], 0)
+    (finding,) = (one for one in explain_ground(trial.arm, model, runs).findings if one.kind == COLUMN[:-1])
+    monkeypatch.setattr(explain, "form_sigmas", lambda *_: {})
+    (plain,) = (one for one in explain_ground(trial.arm, model, runs).findings if one.kind == COLUMN[:-1])
+    print(finding.value, size, plain.sigma, finding.sigma)
+    assert finding.value == plain.value
+    assert abs(finding.value - size) < 2.0 * finding.sigma
+    assert least < np.sqrt(finding.sigma**2 - plain.sigma**2) / finding.value < most
 
 
 def test_a_law_along_a_run() -> None:

@@ -33,7 +33,8 @@ from zygos.balances.quadrature import FromOrigin, from_first, integral, step_int
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.joints import by_name
-from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, Motion, column_name, columns_at
+from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name, columns_at
+from zygos.gap.parts import acted_on
 from zygos.gap.record import MeasuredRun, smoothed_states
 
 Array = NDArray[np.float64]
@@ -405,12 +406,6 @@ def law_along(layout: Layout, one: Acting, readings: Readings, values: Array) ->
         motion = moving.signals[one.joint].motion(one.kind, shape)
     size = acted_on(one.kind, motion)
     return np.broadcast_to(one.kind.law(motion, shape), size.shape), size
-
-
-def acted_on(kind: Kind, motion: Motion) -> Array:
-    """(...) size of the deflection that a law of a spring acts on, of the rate elsewhere."""
-    signal = motion.deflection if kind.place == "spring" else motion.rate
-    return np.abs(np.broadcast_to(signal, np.shape(motion.rate)))
 
 
 @dataclass(frozen=True)
