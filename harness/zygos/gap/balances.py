@@ -34,6 +34,7 @@ from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.joints import by_name
 from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name, columns_at
+from zygos.gap.parts import acted_on
 from zygos.gap.record import MeasuredRun, smoothed_states
 
 Array = NDArray[np.float64]
@@ -393,6 +394,20 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
     return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))
 
 
+def law_along(layout: Layout, one: Acting, readings: Readings, values: Array) -> tuple[Array, Array]:
+    """(..., A, instants) torque of a law per unit of its coefficient along arcs of readings, and the size of what it
+    acts on (`acted_on`). values: as of `balance_rows`."""
+    assert one.kind.law is not None
+    moving = _Moving.of(layout.arm, readings, 1, values=values)
+    shape = one.kind.shape if one.shape is None else one.shape
+    if one.joint < 0:
+        motion = moving.base.motion(one.kind, shape, one.kind.components(layout.arm).index(one.component))
+    else:
+        motion = moving.signals[one.joint].motion(one.kind, shape)
+    size = acted_on(one.kind, motion)
+    return np.broadcast_to(one.kind.law(motion, shape), size.shape), size
+
+
 @dataclass(frozen=True)
 class _Moving:
     """Arcs of readings, as the balances need them."""
@@ -710,6 +725,10 @@ class Sums:
     """By balance (..., A, columns + 1): products of all columns and of what known coefficients leave over, by arc."""
     applied: Array | None = None
     """(zeros,) errors of the sensors that have been taken off the readings before."""
+
+    def reading(self, number: int) -> Sums:
+        """Of one reading (from 0) of several."""
+        return replace(self, gram=tuple(gram[number] for gram in self.gram), scores=None)
 
 
 def accumulate(

@@ -24,6 +24,7 @@ from zygos.gap.findings import (
     DIFFERS,
     DISAGREE,
     FLEXIBILITY,
+    INTERVAL,
     MATERIAL,
     Deflection,
     Disagreement,
@@ -34,6 +35,7 @@ from zygos.gap.findings import (
 )
 from zygos.gap.fit import Hypothesis, fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
+from zygos.gap.form import form_sigma
 from zygos.gap.payload import SYSTEMATIC, PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import CLOSED, closes, far_off, remainders, unclosed
@@ -97,6 +99,7 @@ from zygos.gap.verdicts import (
 )
 from zygos.gap.whereabouts import deflection, whereabouts
 from zygos.model.model import Model, Quantity
+from zygos.quantiles import student_factor
 
 Array = NDArray[np.float64]
 
@@ -431,6 +434,7 @@ class _Explainer:
     def _finding(self, found: Search, index: int) -> Finding:
         named, study = found.named[index], found.after
         value, sigma = self._size(study, named.name)
+        sigma = float(np.hypot(sigma, form_sigma(study, named.name)))
         if named.kind.key == "rotor_coupling":
             inertia = float(study.value[study.hypothesis.names.index(f"Im{named.joint + 1}")])
             value, sigma = value / inertia, sigma / inertia
@@ -454,10 +458,12 @@ class _Explainer:
         )
 
     def _size(self, study: Study, name: str) -> tuple[float, float]:
-        """A coefficient and its standard deviation: noise, or what the runs disagree by, whichever is more."""
+        """A coefficient, and the standard deviation of a normal variable with the same 95 % interval: noise, which a
+        few readings of the twin tell, or what the runs disagree by, whichever is more."""
         index = study.hypothesis.names.index(name)
-        sigma = float(self._sigmas(study)[index])
-        return float(study.value[index]), max(sigma, self._with_its_shape(study, name))
+        sigma = max(float(self._sigmas(study)[index]), self._with_its_shape(study, name))
+        freedom = len(study.twin_sums[0].gram[0]) - 1
+        return float(study.value[index]), sigma * float(student_factor(0.95, freedom)) / INTERVAL
 
     def _with_its_shape(self, study: Study, name: str) -> float:
         """Standard deviation of a coefficient whose law has a shape that is not known either: that of the sum of the

@@ -168,21 +168,8 @@ def shares_of_pairs(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array,
     """(C, C) share of what a hypothesis leaves over beyond noise that each two of C columns take away together, over
     all runs and balances; on the diagonal that of one alone."""
     wider = replace(hypothesis, effects=(*hypothesis.effects, *names))
-    zeros, count = len(hypothesis.layout.zeros), len(hypothesis.names)
-    prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
-    size = zeros + len(wider.names) + 1
-    bases = {k: _Basis.of(wider, k, "") for k in wider.balances}
-    total = np.zeros((size - zeros, size - zeros))
-    for run in runs:
-        whole = np.zeros((size, size))
-        for k, basis in bases.items():
-            clean = run.gram[k] if run.noise is None else run.gram[k] - run.noise[k]
-            whole[np.ix_(basis.places, basis.places)] += weight[k] ** 2 * basis.of_gram(clean)
-        wanted = whole[:zeros, zeros:].copy()
-        if run.applied is not None:
-            wanted[:, -1] -= prior @ run.applied
-            total[-1, -1] += run.applied @ prior @ run.applied
-        total += whole[zeros:, zeros:] - wanted.T @ np.linalg.solve(whole[:zeros, :zeros] + prior, wanted)
+    count = len(hypothesis.names)
+    total, _ = _normal(wider, runs, weight)
     scale = np.sqrt(np.maximum(np.diagonal(total), 1e-300))
     total = total / np.outer(scale, scale)
     rest = total[count:, count:] - total[count:, :count] @ np.linalg.solve(total[:count, :count], total[:count, count:])
@@ -200,29 +187,59 @@ def shares_of_pairs(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array,
 def influence(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array, name: str) -> list[dict[int, Array]]:
     """For each run and balance (columns + 1,): what a coefficient changes by, per unit of the products of the columns
     and of what is left over. Of sums without leading axes. Errors: as `fit`."""
-    zeros, size = len(hypothesis.layout.zeros), len(hypothesis.layout.zeros) + len(hypothesis.names)
-    prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
-    bases = {k: _Basis.of(hypothesis, k, "") for k in hypothesis.balances}
-    settled, total = [], np.zeros((size - zeros, size - zeros))
-    for run in runs:
-        whole = np.zeros((size + 1, size + 1))
-        for k, basis in bases.items():
-            clean = run.gram[k] if run.noise is None else run.gram[k] - run.noise[k]
-            whole[np.ix_(basis.places, basis.places)] += weight[k] ** 2 * basis.of_gram(clean)
-        settled.append(np.linalg.solve(whole[:zeros, :zeros] + prior, whole[:zeros, zeros:size]))
-        total += whole[zeros:size, zeros:size] - whole[zeros:size, :zeros] @ settled[-1]
+    whole, settled = _normal(hypothesis, runs, weight)
+    total = whole[:-1, :-1]
     scale = np.sqrt(np.maximum(np.diagonal(total), 0.0))
     if not np.all(scale > 0.0) or np.linalg.eigvalsh(total / np.outer(scale, scale))[0] < _EMPTY:
         raise Undecided(f"these runs do not tell {name} from the other coefficients")
-    unit = np.zeros(size - zeros)
+    unit = np.zeros(len(total))
     unit[hypothesis.names.index(name)] = 1.0
     row = np.linalg.solve(total / np.outer(scale, scale), unit / scale) / scale
+    bases = {k: _Basis.of(hypothesis, k, "") for k in hypothesis.balances}
     out = []
     for own in settled:
         # what is left over lowers the coefficient that would explain it
-        full = -np.concatenate([-(own @ row), row, [0.0]])
+        full = -np.concatenate([-(own[:, :-1] @ row), row, [0.0]])
         out.append({k: weight[k] ** 2 * (basis.mix @ full[basis.places]) for k, basis in bases.items()})
     return out
+
+
+def held(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array, sigma: dict[str, float]) -> tuple[Array, Array]:
+    """Coefficients (c,), where some are known beforehand to be 0 to within deviations `sigma`; and what they may be all
+    the same adds to the covariance (c, c).
+
+    Noise is not taken off the sums, since less than nothing might be left of a column that is hardly there: it holds
+    the coefficients as well. Of sums without leading axes.
+    """
+    total, _ = _normal(hypothesis, [replace(run, noise=None) for run in runs], weight)
+    known = np.array([sigma.get(name, np.inf) for name in hypothesis.names])
+    matrix = total[:-1, :-1] + np.diag(known**-2.0)
+    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    inverse = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
+    lost = inverse / known
+    return np.asarray(inverse @ total[:-1, -1], dtype=np.float64), np.asarray(lost @ lost.T, dtype=np.float64)
+
+
+def _normal(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array) -> tuple[Array, list[Array]]:
+    """Normal equations (c + 1, c + 1) of the coefficients and the right side, without the zeros of the sensors; and for
+    each run what these are (zeros, c + 1), as functions of them."""
+    zeros = len(hypothesis.layout.zeros)
+    prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
+    size = zeros + len(hypothesis.names) + 1
+    bases = {k: _Basis.of(hypothesis, k, "") for k in hypothesis.balances}
+    total, settled = np.zeros((size - zeros, size - zeros)), []
+    for run in runs:
+        whole = np.zeros((size, size))
+        for k, basis in bases.items():
+            clean = run.gram[k] if run.noise is None else run.gram[k] - run.noise[k]
+            whole[np.ix_(basis.places, basis.places)] += weight[k] ** 2 * basis.of_gram(clean)
+        wanted = whole[:zeros, zeros:].copy()
+        if run.applied is not None:
+            wanted[:, -1] -= prior @ run.applied
+            total[-1, -1] += run.applied @ prior @ run.applied
+        settled.append(np.asarray(np.linalg.solve(whole[:zeros, :zeros] + prior, wanted), dtype=np.float64))
+        total += whole[zeros:, zeros:] - wanted.T @ settled[-1]
+    return total, settled
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,8 @@ class Layout:
     """(s,)"""
     units: tuple[str, ...]
     """(s,)"""
+    known: tuple[tuple[str, float], ...] = ()
+    """Columns that are known to be 0 to within a deviation."""
 
     @classmethod
     def of(cls, arm: Arm, simulation: Model, candidates: Sequence[Candidate], runs: int) -> Layout:
@@ -99,6 +101,8 @@ class Layout:
             size = float(np.max(np.abs(self.start[body]), initial=0.0))
             if size > 0.0:
                 out[body] = 1.0 / size**2
+        for name, sigma in self.known:
+            out[self.at(name)] = 1.0 / sigma**2
         return out
 
 

@@ -21,6 +21,7 @@ from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, fit, jackknife, residual
+from zygos.gap.ground.form import form_sigmas
 from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import CLOSED, Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, is_gain, search
@@ -132,7 +133,8 @@ class _Explainer:
             found = replace(found, after=changed[1])
         self.step(0.8, "predictions of the untouched runs")
         sizes = _Sizes.of(table, found)
-        findings = self._findings(found, sizes)
+        forms = form_sigmas(self.simulation, table, found, stage_of(table.layout, "closed", found.after))
+        findings = self._findings(found, sizes, forms)
         findings = (*findings, *self._directions(table, found, findings, sizes))
         gap = self._gap(table, found)
         left = _Increments.of(table, found)
@@ -212,11 +214,13 @@ class _Explainer:
         )
         return [Motion.of(run) for run in self.measured]
 
-    def _findings(self, found: Search, sizes: _Sizes) -> tuple[Finding, ...]:
-        """What was named; gains of torque sensors within their usual errors are a note, because every arm has them."""
+    def _findings(self, found: Search, sizes: _Sizes, forms: dict[str, float]) -> tuple[Finding, ...]:
+        """What was named; gains of torque sensors within their usual errors are a note, because every arm has them.
+        forms: what the forms of laws leave open of their sizes."""
         listed, usual = [], []
         for k, one in enumerate(found.named):
             finding = self._finding(found, k, sizes)
+            finding = replace(finding, sigma=float(np.hypot(finding.sigma, forms.get(one.name, 0.0))))
             if not is_gain(one.candidate) or abs(finding.value) > USUAL_GAIN + SURE * finding.sigma:
                 listed.append(finding)
             else:

@@ -151,6 +151,15 @@ def jackknife(table: Table, fitted: Fit) -> tuple[Floats, Floats, Floats]:
     return covariance, np.clip(np.nan_to_num(freedom, nan=2.0), 2.0, blocks - 1), spread
 
 
+def unknown(table: Table, fitted: Fit) -> Floats:
+    """(f, f) what the priors of the columns of a fit, which hold them, may hide of them, as covariance."""
+    of = np.array(fitted.free)
+    prior = table.layout.prior()[of]
+    total = np.einsum("j,bjpq->pq", 1.0 / fitted.sigma**2, table.gram, optimize=True)
+    lost = _inverse(total[np.ix_(of, of)], prior) * np.sqrt(prior)
+    return np.asarray(lost @ lost.T, dtype=np.float64)
+
+
 def forms(gram: Floats, x: Floats) -> Floats:
     """(...) sums of squared residuals of each (W, W) with the values x (W-1,)."""
     full = np.append(-x, 1.0)
