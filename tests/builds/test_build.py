@@ -74,9 +74,9 @@ def test_the_manual_says_how_large_the_structs_are(tmp_path: Path) -> None:
         found = {name: int(size) for size, name in re.findall(r"^\d+ 0*(\d+) B (\w+)$", out, re.M)}
         together = sum(found.values())
         assert [f"{size:,}" for size in (found["arm"], found["work"], found["estimate"], together)] == said
-        if (joints, spatial, blocks) == ("2", "0", "64"):
+        if (joints, spatial, blocks) == ("2", "0", "32"):
             assert f"{together / 1000:.0f} kB at {asked}" in (ROOT / "README.md").read_text()
-        if (joints, spatial, blocks) == ("7", "1", "64"):
+        if (joints, spatial, blocks) == ("7", "1", "32"):
             for page, words in (
                 ("README.md", "structs, state, work and estimate, take"),
                 ("docs/cost.md", "joints take"),
@@ -136,7 +136,7 @@ def test_every_public_function_is_described() -> None:
         ["-DZYGOS_MAX_MOMENTUM_BLOCKS=4", "-DZYGOS_MAX_MOTOR_BLOCKS=4", "-DZYGOS_SPATIAL=0"],
         ["-DZYGOS_SPATIAL=0", "-DZYGOS_MAX_JOINTS=1", "-DZYGOS_MAX_EFFECTS=0", "-DZYGOS_MOMENTUM=0"],
         ["-DZYGOS_MAX_EFFECTS=16"],
-        ["-DZYGOS_MAX_HALF_WIDTH=31", "-DZYGOS_MAX_BLOCKS=256", "-DZYGOS_CYCLE_QUEUE=1024"],
+        ["-DZYGOS_MAX_HALF_WIDTH=31", "-DZYGOS_MAX_BLOCKS=128", "-DZYGOS_CYCLE_QUEUE=1024"],
     ],
     ids=" ".join,
 )

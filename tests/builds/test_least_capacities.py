@@ -40,7 +40,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         ffi, lib = flight._load()
         patch.setattr(flight, "ffi", ffi)
         patch.setattr(flight, "lib", lib)
-        assert lib.ZYGOS_MAX_BLOCKS_VALUE == 8
+        assert lib.ZYGOS_MAX_BLOCKS_VALUE == 12
         yield
 
 

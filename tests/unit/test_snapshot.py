@@ -65,7 +65,7 @@ def test_capacities_change_the_hash(tmp_path: Path) -> None:
     (tmp_path / "abi.c").write_text(program)
     found = []
     for flag in (
-        *("", "MAX_JOINTS=2", "MAX_HALF_WIDTH=14", "MAX_BLOCKS=62", "CYCLE_QUEUE=16", "MAX_EFFECTS=7", "SPATIAL=0"),
+        *("", "MAX_JOINTS=2", "MAX_HALF_WIDTH=14", "MAX_BLOCKS=30", "CYCLE_QUEUE=16", "MAX_EFFECTS=7", "SPATIAL=0"),
         *("MOMENTUM=0", "MAX_MOMENTUM_BLOCKS=14", "MAX_MOTOR_BLOCKS=30"),
     ):
         define = [f"-DZYGOS_{flag}"] if flag else []
