@@ -91,7 +91,6 @@ class Twin:
     def judge(self) -> Round:
         """What the node tells of the estimate that is due."""
         told = round_of(self.flight)
-        self.flight.adopt()
         estimate, out = self.flight._estimate, self.refined
         lib.zygos_refine_judge(self.native, self.config, estimate, out)
         self.reasons.append(out.reason)

@@ -9,6 +9,7 @@ import subprocess
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,14 @@ def symbols(elf: Path) -> dict[str, tuple[int, int]]:
     text = subprocess.run(["arm-none-eabi-nm", "-S", str(elf)], capture_output=True, text=True, check=True).stdout
     found = re.findall(r"^([0-9a-f]+) ([0-9a-f]+) \w (\S+)$", text, re.M)
     return {name: (int(address, 16), int(size, 16)) for address, size, name in found}
+
+
+@dataclass(frozen=True)
+class Settled:
+    """What firmware that has nothing more to do has come to: zygos_t, and after how many cycles it adopted."""
+
+    state: bytes
+    adoptions: tuple[int, ...]
 
 
 class Live:
@@ -80,14 +89,16 @@ class Live:
         """Frames that came and lines that were refused."""
         return self.word("line", -3), self.word("line", -2)
 
-    def settle(self, lines: int) -> bytes:
-        """Wait until so many frames and refused lines have come and the task has nothing more to do: its zygos_t."""
+    def settle(self, lines: int) -> Settled:
+        """Wait until so many frames and refused lines have come and the task has nothing more to do."""
         limit, before = time.monotonic() + PATIENCE_S, b""
         while time.monotonic() < limit:
-            now = self.memory("arm")
+            now = self.memory("arm") + self.memory("telemetry")  # the solver works in the latter
             if sum(self.lines()) >= lines and now == before:
                 assert sum(self.lines()) == lines
-                return now
+                count, *cycles = struct.unpack("<64I", self.memory("adoptions"))
+                assert count <= len(cycles)
+                return Settled(now[: symbols(self._elf)["arm"][1]], tuple(cycles[:count]))
             before = now
             time.sleep(0.1)
         raise AssertionError(f"{self.lines()} frames and refused lines of {lines} came")
@@ -113,10 +124,10 @@ def running(
     build: Build,
     flight: Flight,
     line: str = "tcp",
-    drill: str | None = None,
+    drills: tuple[str, ...] = (),
 ) -> Iterator[Live]:
     """The firmware for an arm, until the context ends. The library in use must be that of the build."""
-    elf = firmware(builds, target, "live", build, compiled_in(builds, build, flight), drill)
+    elf = firmware(builds, target, "live", build, compiled_in(builds, build, flight), ("adoptions", *drills))
     command = [*build_firmware.run(target, elf), "-chardev", LINES[line], "-serial", "chardev:line", "-qmp", "stdio"]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:

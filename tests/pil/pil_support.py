@@ -53,7 +53,16 @@ class Build:
 
 PAPER = Build("two joints", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
 SPATIAL = Build("three joints in space", ("-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=12"))
-SEVEN = Build("seven joints in space", ("-DZYGOS_MAX_JOINTS=7", "-DZYGOS_MAX_BLOCKS=12"))
+SEVEN = Build(
+    "seven joints in space",
+    (
+        "-DZYGOS_MAX_JOINTS=7",
+        "-DZYGOS_MAX_BLOCKS=12",
+        "-DZYGOS_MAX_MOTOR_BLOCKS=8",
+        "-DZYGOS_MAX_MOMENTUM_BLOCKS=8",
+    ),
+)
+"""The emulated boards have 16 MB."""
 
 
 PATIENT = Build("two joints, long queue", (*PAPER.defines, "-DZYGOS_CYCLE_QUEUE=1024"))
@@ -166,21 +175,19 @@ def on_host(config: Any, sections: Sequence[Section]) -> list[Record]:
 
 @functools.cache
 def firmware(
-    folder: Path, target: str, program: str, build: Build, flags: tuple[str, ...] = (), drill: str | None = None
+    folder: Path, target: str, program: str, build: Build, flags: tuple[str, ...] = (), drills: tuple[str, ...] = ()
 ) -> Path:
     """Build firmware whose main() is in PROGRAM.c, here or in c/ports/cortex-m, into folder, once a process.
 
-    drill: a source in this folder whose __wrap_ functions stand before those of the firmware.
+    drills: sources in this folder whose __wrap_ functions stand before those of the firmware.
     """
     own = HERE / f"{program}.c"
     sources = [own if own.exists() else PORT / own.name]
-    wrapped: list[str] = []
-    if drill:
-        sources.append(HERE / f"{drill}.c")
-        names = re.findall(r"__wrap_(\w+)\(", sources[-1].read_text())
-        wrapped = [f"-Wl,--wrap={name}" for name in sorted(set(names))]
-    elf = folder / f"{target}-{build.name}-{program}-{abs(hash((flags, drill)))}.elf"
-    return build_firmware.build(target, elf, sources, [*build.defines, *flags, *wrapped])
+    own_sources = [HERE / f"{drill}.c" for drill in drills]
+    names = {name for source in own_sources for name in re.findall(r"__wrap_(\w+)\(", source.read_text())}
+    wrapped = [f"-Wl,--wrap={name}" for name in sorted(names)]
+    elf = folder / f"{target}-{build.name}-{program}-{abs(hash((flags, drills)))}.elf"
+    return build_firmware.build(target, elf, [*sources, *own_sources], [*build.defines, *flags, *wrapped])
 
 
 @dataclass(frozen=True)

@@ -82,10 +82,10 @@ def both(
     config: Any,
     sections: Sequence[Section],
     flags: tuple[str, ...] = (),
-    drill: str | None = None,
+    drills: tuple[str, ...] = (),
 ) -> tuple[list[Record], list[Record], Any]:
     """What host and target come to, and the target's sizes. The library in use must be that of the build."""
-    elf = firmware(builds, target, "bulk", build, flags, drill)
+    elf = firmware(builds, target, "bulk", build, flags, drills)
     records, sizes = on_target(target, elf, folder, config, sections)
     return on_host(config, sections), records, sizes
 
@@ -241,7 +241,7 @@ def test_denormals_that_are_flushed_are_noticed(builds: Path, tmp_path: Path) ->
         tiny = special(cycles, 2)
         sections = [cycles_section(flight.cycles_to_native(tiny), len(tiny)), *END]
         config = flight.config_of(arm)
-        found = compare(*both(builds, tmp_path, "m7", PAPER, config, sections, drill="drill_flush")[:2])
+        found = compare(*both(builds, tmp_path, "m7", PAPER, config, sections, drills=("drill_flush",))[:2])
         assert "zygos_" in found.first
 
 

@@ -40,10 +40,10 @@ BETWEEN = {"m7": (100, 1_400), "m4f": (1_000, 16_000)}
 
 
 def stormed(
-    builds: Path, folder: Path, target: str, arm: Arm, frames: NDArray[Any], drill: str | None = None
+    builds: Path, folder: Path, target: str, arm: Arm, frames: NDArray[Any], drills: tuple[str, ...] = ()
 ) -> tuple[Record, int]:
     """zygos_t behind frames that came in interrupts, and how many came while a cycle was worked off."""
-    elf = firmware(builds, target, "storm", PATIENT, compiled_in(builds, PATIENT, Flight(arm)), drill)
+    elf = firmware(builds, target, "storm", PATIENT, compiled_in(builds, PATIENT, Flight(arm)), drills)
     (folder / "storm.bin").write_bytes(struct.pack("<3I", len(frames), *BETWEEN[target]) + frames.tobytes())
     subprocess.run([*build_firmware.run(target, elf), *CLOCK], cwd=folder, check=True, timeout=LIMIT_S)
     out = (folder / "storm.out").read_bytes()
@@ -73,5 +73,5 @@ def test_registers_that_are_not_saved_are_noticed(builds: Path, tmp_path: Path) 
     with capacities(builds, PATIENT):
         arm, cycles = recorded("paper")
         frames = encode(arm, cycles)
-        found, _ = stormed(builds, tmp_path, "m7", arm, frames, drill="drill_context")
+        found, _ = stormed(builds, tmp_path, "m7", arm, frames, drills=("drill_context",))
         assert compare([in_order(arm, frames)], [found]).first

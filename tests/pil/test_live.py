@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from round_support import round_of, told
 
 from pil.conftest import Agree
-from pil.live_support import PATIENCE_S, Live, lines_of, running
-from pil.pil_support import END, PAPER, PATIENT, TARGETS, Record, capacities, compare, frames_section, on_host, recorded
+from pil.live_support import PATIENCE_S, Live, Settled, lines_of, running
+from pil.pil_support import PAPER, PATIENT, TARGETS, Comparison, Record, capacities, compare, recorded
 from zygos.arm import Arm
 from zygos.can import bus
 from zygos.can.dbc import arm_database
@@ -38,9 +38,31 @@ def the_run() -> tuple[Arm, NDArray[Any]]:
     return arm, encode(arm, cycles)
 
 
-def image(arm: Arm, frames: NDArray[Any]) -> Record:
-    """zygos_t of the host behind these frames in order."""
-    return on_host(flight.config_of(arm), [frames_section(frames), END[0]])[-1]
+def same(arm: Arm, frames: NDArray[Any], found: Settled, lost: int = 0) -> Comparison:
+    """Compare with zygos_t of the host behind these frames in order, which adopts after the same cycles.
+
+    lost: nothing is worked off from the 60th cycle until so many cycles are lost.
+    """
+    ffi, lib = flight.ffi, flight.lib
+    state, work, estimate = ffi.new("zygos_t *"), ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *")
+    assert lib.zygos_init(state, flight.config_of(arm)) == 1
+    waiting = list(found.adoptions)
+
+    def adopt() -> None:
+        while waiting and waiting[0] == state.cycles:
+            lib.zygos_take(state, work)
+            lib.zygos_solve(work, estimate)
+            lib.zygos_adopt(state, estimate)
+            waiting.pop(0)
+
+    adopt()
+    native = ffi.from_buffer("zygos_frame_t[]", frames.tobytes())
+    for k in range(len(frames)):
+        lib.zygos_frame(state, native + k)
+        while (state.cycles != 60 or state.receiver.faults.overrun >= lost) and lib.zygos_step(state) == 1:
+            adopt()
+    assert not waiting
+    return compare([Record("image", bytes(ffi.buffer(state)))], [Record("image", found.state)])
 
 
 class Listener:
@@ -75,19 +97,6 @@ def listening(live: Live) -> Iterator[tuple[can.BusABC, Listener]]:
         line.shutdown()
 
 
-def unguarded(found: bytes) -> Record:
-    """zygos_t, its guard emptied.
-
-    The task solves and adopts beside an interrupt that brings further cycles: of which one the running solution is
-    depends on how fast it was. No arc of these runs contradicts one.
-    """
-    state = flight.ffi.new("zygos_t *")
-    flight.ffi.memmove(state, found, len(found))
-    assert sum(state.guard.left_out) == 0
-    state.guard = flight.ffi.new("zygos_guard_t *")[0]
-    return Record("image", bytes(flight.ffi.buffer(state)))
-
-
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_run_through_the_interrupt(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
     """All frames at once: the interrupt takes them while the task works off cycles. The same bits as in order."""
@@ -99,7 +108,7 @@ def test_a_run_through_the_interrupt(target: str, builds: Path, tmp_path: Path, 
             found = live.settle(len(frames))
             assert live.lines() == (len(frames), 0)
             assert live.word("uart", 1) == live.word("uart", 2) == 0
-        agree(target, "paper, live", "zygos_t behind a run", compare([image(arm, frames)], [unguarded(found)]))
+        agree(target, "paper, live", "zygos_t behind a run", same(arm, frames, found))
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -187,7 +196,7 @@ def test_spoiled_lines(target: str, builds: Path, tmp_path: Path, agree: Agree) 
             assert b"F00\r" in exchange(live, b"F\r", 0)
         assert answers.count(b"\a") == bad
         assert answers.count(b"z\r") == len(frames)
-        agree(target, "paper, spoiled lines", f"{bad} of them", compare([image(arm, frames)], [unguarded(found)]))
+        agree(target, "paper, spoiled lines", f"{bad} of them", same(arm, frames, found))
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -208,10 +217,10 @@ def test_lost_characters(target: str, builds: Path, tmp_path: Path, agree: Agree
             assert live.lines() == (int(good.sum()), int((~good).sum()))
         assert rest == b""
         left = np.array(survived, dtype=flight.FRAME)
-        state = flight.ffi.from_buffer("zygos_t *", found)
+        state = flight.ffi.from_buffer("zygos_t *", found.state)
         assert state.receiver.faults.incomplete > 30
         assert state.gaps > 10
-        agree(target, "paper, lost characters", "what survived", compare([image(arm, left)], [unguarded(found)]))
+        agree(target, "paper, lost characters", "what survived", same(arm, left, found))
 
 
 def well_formed(line: bytes) -> bool:
@@ -252,7 +261,7 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
         arm, frames = the_run()
         frames = frames[: np.flatnonzero(frames["id"] == 0x080)[100] + 1]
         with (
-            running(builds, tmp_path, target, PAPER, Flight(arm), drill="drill_stall") as live,
+            running(builds, tmp_path, target, PAPER, Flight(arm), drills=("drill_stall",)) as live,
             listening(live) as (line, _),
         ):
             for k, message in enumerate(bus.to_messages(frames, arm.period_s)):
@@ -261,26 +270,12 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
                 while k % 14 == 13 and sum(live.lines()) < k - 14:
                     time.sleep(0.001)
             found = live.settle(len(frames))
-        state = flight.ffi.from_buffer("zygos_t *", found)
+        state = flight.ffi.from_buffer("zygos_t *", found.state)
         lost = state.receiver.faults.overrun
         assert lost >= 5
         assert state.cycles == 100 - lost
         assert state.gaps == 1
-        expected = held_up(arm, frames, lost)
-        agree(target, "paper, task held up", f"{lost} cycles lost", compare([expected], [unguarded(found)]))
-
-
-def held_up(arm: Arm, frames: NDArray[Any], lost: int) -> Record:
-    """zygos_t of the host when nothing is worked off from the 60th cycle until so many cycles are lost."""
-    ffi, lib = flight.ffi, flight.lib
-    state = ffi.new("zygos_t *")
-    assert lib.zygos_init(state, flight.config_of(arm)) == 1
-    native = ffi.from_buffer("zygos_frame_t[]", frames.tobytes())
-    for k in range(len(frames)):
-        lib.zygos_frame(state, native + k)
-        while (state.cycles != 60 or state.receiver.faults.overrun >= lost) and lib.zygos_step(state) == 1:
-            pass
-    return Record("image", bytes(ffi.buffer(state)))
+        agree(target, "paper, task held up", f"{lost} cycles lost", same(arm, frames, found, lost))
 
 
 def test_a_pseudo_terminal(builds: Path, tmp_path: Path) -> None:
@@ -297,7 +292,7 @@ def test_a_pseudo_terminal(builds: Path, tmp_path: Path) -> None:
                 line.send(message)
             found = live.settle(len(frames))
             line.shutdown()
-        assert not compare([image(arm, frames)], [unguarded(found)]).first
+        assert not same(arm, frames, found).first
 
 
 def test_a_closed_channel(builds: Path, tmp_path: Path) -> None:

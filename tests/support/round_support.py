@@ -22,8 +22,12 @@ def told(dbc: Database, data: bytes) -> tuple[str, float, int]:
 
 
 def round_of(flight: Flight) -> dict[str, float]:
-    """What the telemetry of an estimate holds: float32, counters modulo 2^24, nothing where there is no value."""
+    """Estimate, adopt, and return what the telemetry holds of it.
+
+    In it are float32 numbers, counters modulo 2^24, and nothing where there is no value.
+    """
     estimate = flight.estimate()
+    flight.adopt()
     raw = flight._estimate
     out: dict[str, float] = {
         "verdict_validity": VALIDITY.index(estimate.validity),

@@ -14,7 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 from flight_support import (
-    CHOSEN, arcs, arcs_of, balanced, bytes_of, chosen, energy_only, flushed, joined, part, sines, traced,
+    CHOSEN,
+    arcs,
+    arcs_of,
+    balanced,
+    bytes_of,
+    chosen,
+    energy_only,
+    flushed,
+    joined,
+    part,
+    sines,
+    traced,
 )  # fmt: skip
 from numpy.typing import NDArray
 from reference_support import make_arm

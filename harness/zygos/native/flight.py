@@ -537,7 +537,7 @@ class Flight:
     def noise(self) -> NDArray[np.float64]:
         """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
         sums = self._closed()
-        return sums.noise_fade * _symmetric(sums.noise_closed.gram, sums.width - 1)
+        return float(sums.noise_fade) * _symmetric(sums.noise_closed.gram, sums.width - 1)
 
     def blocks(self) -> Blocks:
         """The blocks behind the sigmas, the open arcs ended; not weighed."""
