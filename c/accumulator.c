@@ -9,8 +9,7 @@
 #define FEWEST 4u
 #define MOST 1024u /* largest initial length of a segment in instants */
 #define MIN_BUFFERS 3u
-#define ONE_PASS_MORE 2u /* parts of a task that only adds, in one cycle */
-#define CLEARED_AT_ONCE 4u
+#define CLEARED_AT_ONCE 4u /* parts of a task that only clears, in one cycle */
 /* The newest blocks of the open arc that may still be added to: two of the open segment, and one of the segment before,
    whose last rows may wait in a buffer. */
 #define IN_USE 3u
@@ -30,10 +29,11 @@ static double rounded(double instants)
 #define ORDER_WORDS (ZYGOS_ORDER_PLACES / 8u)
 #define WORDS (MEMBERS + ORDER_WORDS + ZYGOS_MAX_BLOCKS)
 
+/* The compiler's own memcpy() is a few loads, also where a freestanding build has no other than that of a library. */
 static void gather(const zygos_accumulator_t *self, uint64_t *word)
 {
-    memcpy(&word[0], &self->enough, sizeof word[0]);
-    memcpy(&word[1], &self->target, sizeof word[1]);
+    __builtin_memcpy(&word[0], &self->enough, sizeof word[0]);
+    __builtin_memcpy(&word[1], &self->target, sizeof word[1]);
     word[2] = self->width;
     word[3] = self->count;
     word[4] = self->open;
@@ -42,20 +42,20 @@ static void gather(const zygos_accumulator_t *self, uint64_t *word)
     word[7] = self->window;
     word[8] = self->ready;
     word[9] = self->arcs;
-    memcpy(&word[10], &self->noise_fade, sizeof word[10]);
-    memcpy(&word[MEMBERS], self->order, sizeof self->order);
-    memcpy(&word[MEMBERS + ORDER_WORDS], self->fade, sizeof self->fade);
+    __builtin_memcpy(&word[10], &self->noise_fade, sizeof word[10]);
+    for (uint32_t i = 0; i < ORDER_WORDS; i++) {
+        __builtin_memcpy(&word[MEMBERS + i], &self->order[8u * i], sizeof word[0]);
+    }
+    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_BLOCKS; i++) {
+        __builtin_memcpy(&word[MEMBERS + ORDER_WORDS + i], &self->fade[i], sizeof word[0]);
+    }
 }
 
 static uint64_t checksum_of(const zygos_accumulator_t *self)
 {
     uint64_t word[WORDS];
-    uint64_t checksum = 0;
     gather(self, word);
-    for (uint32_t i = 0; i < WORDS; i++) {
-        checksum = zygos_checksum_number(checksum, word[i]);
-    }
-    return checksum;
+    return zygos_checksum_words(0, word, WORDS);
 }
 
 static void reseal(zygos_accumulator_t *self)
@@ -223,7 +223,9 @@ static void clear_buffer(zygos_accumulator_t *self, zygos_row_buffer_t *buffer)
 {
     memset(buffer->gram, 0, zygos_gram_entries(self->width) * sizeof buffer->gram[0]);
     memset(buffer->sum, 0, self->width * sizeof buffer->sum[0]);
-    clear_noise(&buffer->noise, self->width);
+    if (self->noisy != 0) {
+        clear_noise(&buffer->noise, self->width);
+    }
     buffer->instants = 0.0;
     buffer->shared = ZYGOS_BUFFER_ROWS;
 }
@@ -340,17 +342,19 @@ static void proceed_clear(zygos_accumulator_t *self)
     reseal(self);
 }
 
+/* What follows the last row is a part of its own. */
 static void proceed_merge(zygos_accumulator_t *self)
 {
-    const uint32_t end = zygos_accumulator_part(self, ONE_PASS_MORE);
     zygos_block_t *to = at(self, first_of(self->places));
     const zygos_block_t *from = at(self, second_of(self->places));
     double *own = &self->fade[to - self->block];
     const double other = self->fade[from - self->block];
-    for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
-        to->gram[k] = *own * to->gram[k] + other * from->gram[k];
-    }
-    if (!task_ends(self, end)) {
+    if (self->row < self->width) {
+        const uint32_t end = zygos_accumulator_part(self, 1u);
+        for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
+            to->gram[k] = *own * to->gram[k] + other * from->gram[k];
+        }
+        self->row = end;
         return;
     }
     judge(self);
@@ -439,18 +443,18 @@ static void take_means(zygos_accumulator_t *self)
     /* The last column counts instants as well. */
     const double counted = self->mean[self->width - 1u];
     const double few = rounded((double)self->closing_instants);
-    const zygos_noise_sums_t *noise = &self->noise_open[self->parity ^ 1u];
-    self->whole = ((counted > 1.0 - few) && (counted < 1.0 + few) &&
-                   (!self->noisy || (zygos_gram_check(noise->gram, self->width - 1u, noise->sum,
-                                                      (double)self->closing_instants) <= 1.0)))
-                      ? 1u
-                      : 0u;
+    self->whole = ((counted > 1.0 - few) && (counted < 1.0 + few)) ? 1u : 0u;
     self->overlap = 0.0;
 }
 
 /* The next part of the closing arc, of which nothing is left when it does not match. */
 static void begin_closing_task(zygos_accumulator_t *self)
 {
+    if (self->closing_instants == 0) { /* the arc was too short */
+        self->admitted = 0;
+        begin_task(self, ZYGOS_TASK_ADMIT, 0);
+        return;
+    }
     if (self->rank == self->open) {
         take_means(self);
     }
@@ -459,11 +463,9 @@ static void begin_closing_task(zygos_accumulator_t *self)
         self->quarantined++;
         self->arcs_dropped++;
         begin_task(self, ZYGOS_TASK_ADMIT, 0);
-    } else if (self->rank < self->fresh) {
-        memset(&self->scan, 0, sizeof self->scan);
-        begin_task(self, ZYGOS_TASK_VERIFY, self->order[self->rank]);
     } else {
-        begin_task(self, ZYGOS_TASK_JUDGE, 0);
+        memset(&self->scan, 0, sizeof self->scan);
+        begin_task(self, ZYGOS_TASK_VERIFY, (self->rank < self->fresh) ? self->order[self->rank] : 0u);
     }
 }
 
@@ -482,8 +484,11 @@ static void begin_next_task(zygos_accumulator_t *self)
         return;
     }
     if (lacking) {
+        const double target = self->target;
         const uint32_t rank = pair_to_merge(self);
-        self->checksum = checksum_of(self); /* with the target */
+        if (self->target > target) {
+            self->checksum = checksum_of(self);
+        }
         if (rank < self->count) {
             begin_task(self, ZYGOS_TASK_MERGE,
                        ZYGOS_PLACES((uint32_t)self->order[rank], (uint32_t)self->order[rank + 1u]));
@@ -505,8 +510,33 @@ static bool weighs_what_it_should(const zygos_block_t *block, uint32_t width, do
     return (block->checksum == 0) && (off >= -few) && (off <= few) && (shared >= -few) && (shared <= few);
 }
 
+/* Behind the last block of the closing arc: its noise. */
+static void proceed_verify_noise(zygos_accumulator_t *self)
+{
+    const zygos_noise_sums_t *noise = &self->noise_open[self->parity ^ 1u];
+    const uint32_t rows = self->width - 1u;
+    const uint32_t part = zygos_accumulator_part(self, 1u);
+    if ((self->noisy != 0) && (self->row < rows)) {
+        zygos_gram_scan(&self->scan, noise->gram, self->row, (part < rows) ? part : rows);
+    }
+    if (!task_ends(self, (self->noisy != 0) ? part : self->width)) {
+        return;
+    }
+    if ((self->noisy != 0) &&
+        (zygos_gram_scanned(&self->scan, noise->gram, rows, noise->sum, (double)self->closing_instants) > 1.0)) {
+        self->whole = 0;
+        begin_task(self, ZYGOS_TASK_NONE, 0);
+    } else {
+        begin_task(self, ZYGOS_TASK_JUDGE, 0);
+    }
+}
+
 static void proceed_verify(zygos_accumulator_t *self)
 {
+    if (self->rank >= self->fresh) {
+        proceed_verify_noise(self);
+        return;
+    }
     const uint32_t end = zygos_accumulator_part(self, 1u);
     zygos_block_t *block = at(self, first_of(self->places));
     zygos_gram_scan(&self->scan, block->gram, self->row, end);
@@ -590,16 +620,18 @@ static void leave_out(zygos_accumulator_t *self)
     self->fresh = self->open;
 }
 
+/* What follows the last row is a part of its own. */
 static void proceed_admit(zygos_accumulator_t *self)
 {
-    const uint32_t end = zygos_accumulator_part(self, ONE_PASS_MORE);
     zygos_noise_sums_t *open = &self->noise_open[self->parity ^ 1u];
     const double factor = (double)self->admitted / self->noise_fade;
-    for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
-        self->noise_closed.gram[k] += factor * open->gram[k];
-        open->gram[k] = 0.0;
-    }
-    if (!task_ends(self, (self->noisy != 0) ? end : self->width)) {
+    if ((self->noisy != 0) && (self->row < self->width)) {
+        const uint32_t end = zygos_accumulator_part(self, 1u);
+        for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
+            self->noise_closed.gram[k] += factor * open->gram[k];
+            open->gram[k] = 0.0;
+        }
+        self->row = end;
         return;
     }
     for (uint32_t i = 0; i < self->width; i++) {
@@ -816,7 +848,8 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
 {
     const uint32_t width = self->width;
     const uint32_t p = width - 2u;
-    if (self->count == self->fresh) {
+    bool opens = (self->count == self->fresh);
+    if (opens) {
         next_segment(self);
     }
     zygos_row_buffer_t *buffer = &self->buffer[self->filling];
@@ -835,6 +868,7 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     if (self->filled >= ZYGOS_BUFFER_ROWS) {
         if (self->segment >= self->length) {
             next_segment(self);
+            opens = true;
         }
         next_buffer(self);
     }
@@ -842,7 +876,9 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     self->arc_instants += one;
     self->accepted += one;
     self->refused += 1u - one;
-    zygos_accumulator_proceed(self);
+    if (!opens) { /* a segment is work enough for a cycle */
+        zygos_accumulator_proceed(self);
+    }
 }
 
 /* ---------------------------------------------------------------- arcs */
@@ -857,10 +893,12 @@ static void clear_rows(zygos_accumulator_t *self, uint32_t parity)
             clear_buffer(self, buffer);
         }
     }
-    clear_noise(&self->noise_open[parity & 1u], self->width);
+    if (self->noisy != 0) {
+        clear_noise(&self->noise_open[parity & 1u], self->width);
+    }
 }
 
-static void drop_open_arc(zygos_accumulator_t *self)
+static void drop_open_arc(zygos_accumulator_t *self, bool has_rows)
 {
     judge(self);
     self->arcs_dropped += (self->count > self->fresh) ? 1u : 0u;
@@ -870,7 +908,9 @@ static void drop_open_arc(zygos_accumulator_t *self)
     }
     self->accepted -= self->arc_instants;
     self->count = self->fresh;
-    clear_rows(self, self->parity);
+    if (has_rows) {
+        clear_rows(self, self->parity);
+    }
     self->arc_instants = 0;
     self->segment = 0.0;
     self->filled = 0;
@@ -880,20 +920,31 @@ static void drop_open_arc(zygos_accumulator_t *self)
 static void drop_closing_arc(zygos_accumulator_t *self)
 {
     clear_rows(self, self->parity ^ 1u);
-    self->arcs_dropped++;
+    self->arcs_dropped += (self->closing_instants > 0) ? 1u : 0u;
     leave_out(self);
     self->closing_instants = 0;
     self->task = ZYGOS_TASK_NONE;
     reseal(self);
 }
 
+bool zygos_accumulator_is_short(const zygos_accumulator_t *self)
+{
+    return self->arc_instants < ZYGOS_MIN_ARC_INSTANTS;
+}
+
 bool zygos_accumulator_close(zygos_accumulator_t *self, uint64_t cycle, uint32_t cycles)
 {
-    if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
-        drop_open_arc(self);
+    const bool brief = zygos_accumulator_is_short(self);
+    if (brief && (zygos_accumulator_closing(self) || (self->count == self->fresh))) {
+        drop_open_arc(self, self->arc_instants > 0); /* refused instants have added nothing */
         return false;
     }
     judge(self);
+    if (brief) {
+        self->accepted -= self->arc_instants;
+        self->arcs_dropped++;
+        self->arc_instants = 0;
+    }
     if ((self->filled > 0) && (self->count > self->fresh)) {
         next_buffer(self);
     }
@@ -906,7 +957,7 @@ bool zygos_accumulator_close(zygos_accumulator_t *self, uint64_t cycle, uint32_t
     self->arc_instants = 0;
     self->segment = 0.0;
     reseal(self);
-    return true;
+    return !brief;
 }
 
 bool zygos_accumulator_busy(const zygos_accumulator_t *self)
@@ -964,7 +1015,7 @@ static void reduce(zygos_accumulator_t *self, double before)
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
 {
     finish_upkeep(self);
-    drop_open_arc(self);
+    drop_open_arc(self, true);
     if (zygos_accumulator_closing(self)) {
         if (self->closing_end <= cycle) {
             return;
@@ -1199,7 +1250,7 @@ bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
         }
         clear_noise(&self->noise_open[0], self->width);
         clear_noise(&self->noise_open[1], self->width);
-        drop_open_arc(self);
+        drop_open_arc(self, true);
         if (zygos_accumulator_closing(self)) {
             drop_closing_arc(self);
         }

@@ -111,17 +111,31 @@ double zygos_gram_check(const double *gram, uint32_t width, const double *sum, d
 }
 
 /* The factor is odd, so that two checksums never become equal. */
-uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number)
+static uint64_t continued(uint64_t checksum, uint64_t number)
 {
     return (checksum ^ number) * 0x100000001B3u;
 }
 
+uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number)
+{
+    return continued(checksum, number);
+}
+
+uint64_t zygos_checksum_words(uint64_t checksum, const uint64_t *word, uint32_t n)
+{
+    for (uint32_t i = 0; i < n; i++) {
+        checksum = continued(checksum, word[i]);
+    }
+    return checksum;
+}
+
+/* The compiler's own memcpy() is one load, also where a freestanding build has no other than that of a library. */
 uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n)
 {
     for (uint32_t i = 0; i < n; i++) {
         uint64_t bits;
-        memcpy(&bits, &x[i], sizeof bits);
-        checksum = zygos_checksum_number(checksum, bits);
+        __builtin_memcpy(&bits, &x[i], sizeof bits);
+        checksum = continued(checksum, bits);
     }
     return checksum;
 }
@@ -131,20 +145,11 @@ uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t b
     const unsigned char *from = (const unsigned char *)memory;
     for (uint32_t i = 0; i + 8u <= bytes; i += 8u) {
         uint64_t word;
-        memcpy(&word, from + i, sizeof word);
-        checksum = zygos_checksum_number(checksum, word);
+        __builtin_memcpy(&word, from + i, sizeof word);
+        checksum = continued(checksum, word);
     }
     for (uint32_t i = bytes & ~7u; i < bytes; i++) {
-        checksum = zygos_checksum_number(checksum, from[i]);
-    }
-    return checksum;
-}
-
-static uint64_t checksum_of(const uint64_t *word, uint32_t n)
-{
-    uint64_t checksum = 0;
-    for (uint32_t i = 0; i < n; i++) {
-        checksum = zygos_checksum_number(checksum, word[i]);
+        checksum = continued(checksum, from[i]);
     }
     return checksum;
 }
@@ -152,7 +157,7 @@ static uint64_t checksum_of(const uint64_t *word, uint32_t n)
 bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum)
 {
     const uint64_t top = (uint64_t)1 << 63u;
-    const uint64_t off = checksum ^ checksum_of(word, n);
+    const uint64_t off = checksum ^ zygos_checksum_words(0, word, n);
     if ((off & (off - 1u)) == 0) { /* it matches, the flipped bit is its own, or it is the top bit of a word */
         for (uint32_t i = 0; i < n; i++) {
             word[i] &= ~top;
@@ -162,7 +167,7 @@ bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum)
     for (uint32_t i = 0; i < n; i++) {
         for (uint32_t bit = 0; bit < 63u; bit++) {
             word[i] ^= (uint64_t)1 << bit;
-            if (checksum_of(word, n) == checksum) {
+            if (zygos_checksum_words(0, word, n) == checksum) {
                 return true;
             }
             word[i] ^= (uint64_t)1 << bit;

@@ -240,9 +240,14 @@ static double instants_of(const zygos_momentum_block_t *block)
     return block->fade * block->instants;
 }
 
+bool zygos_momentum_sums_is_short(const zygos_momentum_sums_t *self)
+{
+    return self->open.instants < (double)ZYGOS_MIN_ARC_INSTANTS;
+}
+
 bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle)
 {
-    if (self->open.instants < (double)ZYGOS_MIN_ARC_INSTANTS) {
+    if (zygos_momentum_sums_is_short(self)) {
         zygos_momentum_sums_leave_out(self);
         return false;
     }

@@ -170,9 +170,14 @@ static void leave_closing_out(zygos_motor_sums_t *self)
     begin_task(self, ZYGOS_MOTOR_NONE);
 }
 
+bool zygos_motor_sums_is_short(const zygos_motor_sums_t *self)
+{
+    return self->instants < ZYGOS_MIN_ARC_INSTANTS;
+}
+
 bool zygos_motor_sums_close(zygos_motor_sums_t *self, uint64_t cycle)
 {
-    if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
+    if (zygos_motor_sums_is_short(self)) {
         zygos_motor_sums_leave_out(self);
         return false;
     }

@@ -12,7 +12,8 @@
 ///
 /// All cycles cost nearly the same. The rows of ZYGOS_BUFFER_ROWS instants are summed in a buffer, which is then added
 /// to two blocks, a slice in each cycle. Everything else that takes time in proportion to a block is a task that
-/// proceeds by a part in each cycle: to verify the blocks of an arc that ended, to eliminate its constant, to compare
+/// proceeds by a part in each cycle but those that open a segment: to verify the blocks of an arc that ended, to
+/// eliminate its constant, to compare
 /// it with the running solution (guard.h), to admit it to the closed arcs, to merge two blocks, and to clear one. An
 /// arc is closing from its end until it is admitted. Who reads the sums finishes these tasks on a copy first; the
 /// result is then the same as if they had been finished when the arc ended.
@@ -43,9 +44,9 @@ extern "C" {
 /// Number of buffers: one is filled, one is added to the blocks, and a third waits after the end of an arc.
 #define ZYGOS_ROW_BUFFERS 3u
 /// Number of cycles in which a task reads or changes each entry of a block once.
-#define ZYGOS_PASS_CYCLES 4u
+#define ZYGOS_PASS_CYCLES 5u
 /// The least number of entries that it reads or changes in one cycle.
-#define ZYGOS_LEAST_PART 128u
+#define ZYGOS_LEAST_PART 64u
 
 /// One block of the sums.
 typedef struct {
@@ -88,7 +89,7 @@ typedef struct {
 #define ZYGOS_TASK_NONE 0u
 #define ZYGOS_TASK_CLEAR 1u  ///< Clears a free block.
 #define ZYGOS_TASK_MERGE 2u  ///< Adds a block to the one before it.
-#define ZYGOS_TASK_VERIFY 3u ///< Compares a block of the closing arc with its row sums.
+#define ZYGOS_TASK_VERIFY 3u ///< Compares a block of the closing arc, and its noise after the last one, with row sums.
 #define ZYGOS_TASK_CENTRE 4u ///< Eliminates the constant from it.
 #define ZYGOS_TASK_JUDGE 5u  ///< Compares it with the running solution (guard.h); after the last one the whole arc.
 #define ZYGOS_TASK_ADMIT 6u  ///< Admits the closing arc with its noise to the closed ones, or leaves it out.
@@ -155,14 +156,20 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
 /// Adds one instant with weight 1 (accepted) or 0 (refused); the instructions are the same. The caller has added the
 /// noise of this instant to the noise of the buffer that is being filled. Cost: one rank-1 update of (p+2)(p+3)/2
 /// entries, the addition of that number / ZYGOS_BUFFER_ROWS to the blocks, twice as much in the first
-/// ZYGOS_BUFFER_ROWS instants of an arc, and a part of a task, of that number / ZYGOS_PASS_CYCLES entries.
+/// ZYGOS_BUFFER_ROWS instants of an arc, and a segment that is opened or a part of a task, of that number /
+/// ZYGOS_PASS_CYCLES entries.
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
 
 /// Adds the content of all buffers to the blocks. Cost: one pass over each of them.
 void zygos_accumulator_flush(zygos_accumulator_t *self);
 
-/// Ends the open arc: it is closing from then on, or dropped when it is too short, and then false is returned. Needs
-/// that no arc is closing. cycle: its newest cycle. cycles: their number. Cost: a few instructions for each block.
+/// Returns whether the open arc has too few accepted instants to be of use.
+bool zygos_accumulator_is_short(const zygos_accumulator_t *self);
+
+/// Ends the open arc: it is closing from then on. An arc that is too short counts as dropped, false is returned, and
+/// what there is of it is cleared away by the tasks, or at once while another arc is closing. Needs that no arc is
+/// closing, or that the open one is too short. cycle: its newest cycle. cycles: their number. Cost: a few instructions
+/// for each block, or one pass over the buffers and the noise of an arc.
 bool zygos_accumulator_close(zygos_accumulator_t *self, uint64_t cycle, uint32_t cycles);
 
 /// Returns whether an arc is closing.

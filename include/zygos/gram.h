@@ -38,10 +38,11 @@ void zygos_gram_scan(zygos_gram_scan_t *scan, const double *gram, uint32_t first
 double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uint32_t width, const double *sum,
                           double adds);
 
-/// Return a checksum that is continued with another number, with n doubles, or with bytes of memory. It protects data
-/// that change seldom and have no row sums. One flipped bit in any of them always changes it. Cost: one multiplication
-/// for each word of eight bytes.
+/// Return a checksum that is continued with another number, with n words, with n doubles, or with bytes of memory. It
+/// protects data that change seldom and have no row sums. One flipped bit in any of them always changes it. Cost: one
+/// multiplication for each word of eight bytes.
 uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number);
+uint64_t zygos_checksum_words(uint64_t checksum, const uint64_t *word, uint32_t n);
 uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n);
 uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t bytes);
 

@@ -110,8 +110,12 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
                              const zygos_momentum_t *momentum, const zygos_arm_state_t *state,
                              const zygos_motion_t *motion, double weight);
 
+/// Returns whether the open arc has too few accepted instants to be of use.
+bool zygos_momentum_sums_is_short(const zygos_momentum_sums_t *self);
+
 /// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and
-/// then false is returned. Needs that no task is open. Cost: one pass over the sums of an arc, which are copied.
+/// then false is returned. Needs that no task is open, or that the arc is too short. Cost: one pass over the sums of an
+/// arc, which are copied.
 bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Proceeds with the task. ZYGOS_MOMENTUM_JUDGE is that of the caller, who ends it by the next function: this one does

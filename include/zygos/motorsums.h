@@ -85,8 +85,12 @@ void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *conf
 void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
                           double weight);
 
+/// Returns whether the open arc has too few accepted instants to be of use.
+bool zygos_motor_sums_is_short(const zygos_motor_sums_t *self);
+
 /// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and
-/// then false is returned. Needs that no task is open. Cost: the sums of an arc are copied.
+/// then false is returned. Needs that no task is open, or that the arc is too short. Cost: the sums of an arc are
+/// copied.
 bool zygos_motor_sums_close(zygos_motor_sums_t *self, uint64_t cycle);
 
 /// Proceeds with the task by one joint or one block. ZYGOS_MOTOR_JUDGE is that of the caller, who ends it by the next

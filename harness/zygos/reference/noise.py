@@ -152,8 +152,8 @@ def drift(arm: Arm, known: Spread, effects: Sequence[Effect] = ()) -> Floats:
 def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], effects: Sequence[Effect] = ()) -> Floats:
     """Sum of J S J^T over instants, (p+1, p+1), the work last.
 
-    turn: (m,) sensor s (link encoders, motor encoders, gyro) is evaluated where turn % `arm.compensation` is s modulo
-    the same number, and then represents all other instants.
+    turn: (m,) sensor s (link encoders, motor encoders, axes of the gyro) is evaluated where turn % `arm.compensation`
+    is s modulo the same number, and then represents all other instants.
     """
     every, n = arm.compensation, arm.n
     p = len(arm.parameter_names) + len(estimated(arm, effects))
@@ -175,8 +175,8 @@ def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], ef
         else:
             motor = slopes(arm, at(i), "theta", i, effects)
             add(every, known.motor[i], link[0] + motor[0], link[1] + motor[1])
-    some = at(2 * n)
     for axis in range(_gyro_axes(arm)):
+        some = at(2 * n + axis)
         columns = [full_energy_columns(arm, _moved(some.state, "base", axis, by), _none(some)) for by in (-1.0, 1.0)]
         slope = _row(arm, 0.5 * (columns[1] - columns[0]), effects)
         add(every, np.array([[known.gyro]]), arm.structure.reduced(slope))
