@@ -321,31 +321,41 @@ static bool fades(const zygos_t *self, double product)
     return (self->config.forgetting_factor < 1.0) && (product >= 0.0) && (product < 1.0);
 }
 
+/* The arc before is admitted before it fades. Behind an arc that is too short to be of use, all fades with the next. */
 static void end_arc(zygos_t *self)
 {
-    if (fades(self, self->forgetting)) {
-        zygos_accumulator_forget(&self->accumulator, self->forgetting);
+    if (!zygos_accumulator_is_short(&self->accumulator)) {
+        if (fades(self, self->forgetting)) {
+            zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+            zygos_accumulator_forget(&self->accumulator, self->forgetting);
+        }
+        self->forgetting = 1.0;
     }
-    self->forgetting = 1.0;
     zygos_guard_close_energy(&self->guard, &self->config, &self->accumulator, self->cycle, self->arc);
     self->arc = 0;
 }
 
 static void end_joint_arc(zygos_t *self)
 {
-    if (fades(self, self->motors_forgetting)) {
-        zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
+    if (!zygos_motor_sums_is_short(&self->motor_sums)) {
+        if (fades(self, self->motors_forgetting)) {
+            zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
+            zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
+        }
+        self->motors_forgetting = 1.0;
     }
-    self->motors_forgetting = 1.0;
     zygos_guard_close_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums, self->cycle);
 }
 
 static void end_momentum_arc(zygos_t *self)
 {
-    if (fades(self, self->momentum_forgetting)) {
-        zygos_momentum_sums_forget(&self->momentum_sums, self->momentum_forgetting);
+    if (!zygos_momentum_sums_is_short(&self->momentum_sums)) {
+        if (fades(self, self->momentum_forgetting)) {
+            zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
+            zygos_momentum_sums_forget(&self->momentum_sums, self->momentum_forgetting);
+        }
+        self->momentum_forgetting = 1.0;
     }
-    self->momentum_forgetting = 1.0;
     zygos_guard_close_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums, self->cycle);
 }
 

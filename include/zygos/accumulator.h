@@ -12,11 +12,10 @@
 ///
 /// All cycles cost nearly the same. The rows of ZYGOS_BUFFER_ROWS instants are summed in a buffer, which is then added
 /// to two blocks, a slice in each cycle. Everything else that takes time in proportion to a block is a task that
-/// proceeds by a part in each cycle but those that open a segment: to verify the blocks of an arc that ended, to
-/// eliminate its constant, to compare
-/// it with the running solution (guard.h), to admit it to the closed arcs, to merge two blocks, and to clear one. An
-/// arc is closing from its end until it is admitted. Who reads the sums finishes these tasks on a copy first; the
-/// result is then the same as if they had been finished when the arc ended.
+/// proceeds by a part in each cycle that does not open a segment: to verify the blocks of an arc that ended, to
+/// eliminate its constant, to compare it with the running solution (guard.h), to admit it to the closed arcs, to merge
+/// two blocks, and to clear one. An arc is closing from its end until it is admitted. Who reads the sums finishes these
+/// tasks on a copy first; the result is then the same as if they had been finished when the arc ended.
 ///
 /// The bias of the sums by noise (noise.h) is summed beside the rows of a buffer, and is subtracted with them.
 ///
@@ -199,7 +198,8 @@ void zygos_accumulator_settle(zygos_accumulator_t *self);
 /// Ends the open arc and settles.
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
 
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: one multiplication for each block.
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Needs finished tasks. Cost: one
+/// multiplication for each block.
 void zygos_accumulator_forget(zygos_accumulator_t *self, double factor);
 
 /// Drops the open arc, and the blocks of closed arcs with cycles after the given one. A block in which such cycles were

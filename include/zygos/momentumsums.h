@@ -136,7 +136,8 @@ void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config
 /// Drops the open arc.
 void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self);
 
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: a few instructions for each block.
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Needs finished tasks. Cost: a few
+/// instructions for each block.
 void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor);
 
 /// Multiplies each block and the noise of closed arcs by its factor, which is 1 then. Needs finished tasks. Cost: one

@@ -111,7 +111,8 @@ void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *co
 /// Drops the open arc.
 void zygos_motor_sums_leave_out(zygos_motor_sums_t *self);
 
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: a few instructions for each block.
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Needs finished tasks. Cost: a few
+/// instructions for each block.
 void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor);
 
 /// Multiplies each block by its factor, which is 1 then. Needs finished tasks. Cost: one pass over the blocks of which

@@ -66,7 +66,7 @@ def _ground(energy: bool) -> Configuration:
 
 BARE, JOINT_ROWS = ", bare", ", joint rows"
 _GROUND = "MAX_JOINTS=6 MAX_PARAMETERS=58 MAX_BLOCKS=12 MOMENTUM=0"
-_PAPER, _SPATIAL, _SEVEN = "MAX_JOINTS=2 SPATIAL=0 MOMENTUM=0", "MAX_JOINTS=3", "MAX_JOINTS=7 MAX_BLOCKS=12"
+_PAPER, _SPATIAL, _SEVEN = "MAX_JOINTS=2 SPATIAL=0 MOMENTUM=0", "MAX_JOINTS=3", "MAX_JOINTS=7 MAX_BLOCKS=12 MAX_MOTOR_BLOCKS=8 MAX_MOMENTUM_BLOCKS=8"
 
 CONFIGURATIONS: dict[str, Callable[[], Configuration]] = {
     "paper, bare": lambda: _example("paper", _PAPER, _bare),

@@ -304,8 +304,9 @@ def test_motor_rows_fade_alike() -> None:
     for block in range(count):
         faded = math.exp(-100 * (count - 1 - block) * arm.period_s / 20.0)
         for joint in range(arm.n):
-            there = [list(f.native.motor_sums.block[block].joint[joint].gram) for f in (whole, fading)]
-            np.testing.assert_allclose(there[1], faded * np.array(there[0]), rtol=1e-12)
+            blocks = [f.native.motor_sums.block[block] for f in (whole, fading)]
+            there = [one.fade * np.array(list(one.joint[joint].gram)) for one in blocks]
+            np.testing.assert_allclose(there[1], faded * there[0], rtol=1e-12)
 
 
 def test_with_a_short_memory_the_estimate_follows_and_without_it_does_not(
