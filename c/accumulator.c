@@ -689,6 +689,11 @@ bool zygos_accumulator_closing(const zygos_accumulator_t *self)
     return self->fresh > self->open;
 }
 
+bool zygos_accumulator_rests(const zygos_accumulator_t *self)
+{
+    return (self->closing_instants == 0) && (self->task != (uint32_t)ZYGOS_TASK_MERGE);
+}
+
 /* ---------------------------------------------------------------- rows */
 
 /* Of so many entries, those of a slice: an even number. The last slice reaches beyond the entries, where all is 0. */
@@ -844,7 +849,7 @@ void zygos_accumulator_flush(zygos_accumulator_t *self)
     }
 }
 
-void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight)
+bool zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight)
 {
     const uint32_t width = self->width;
     const uint32_t p = width - 2u;
@@ -876,9 +881,7 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     self->arc_instants += one;
     self->accepted += one;
     self->refused += 1u - one;
-    if (!opens) { /* a segment is work enough for a cycle */
-        zygos_accumulator_proceed(self);
-    }
+    return opens;
 }
 
 /* ---------------------------------------------------------------- arcs */

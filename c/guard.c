@@ -278,6 +278,7 @@ static void judge_arc(zygos_guard_t *self, const zygos_config_t *config, zygos_a
 void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
 {
     if (sums->task != (uint32_t)ZYGOS_TASK_JUDGE) {
+        zygos_accumulator_proceed(sums);
         return;
     }
     const bool block = (sums->rank < sums->fresh);
@@ -308,7 +309,6 @@ void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config
     const uint32_t most = 8u * ZYGOS_PASS_CYCLES * (uint32_t)ZYGOS_MAX_BLOCKS;
     zygos_accumulator_share_out(sums);
     for (uint32_t tries = 0; (tries < most) && zygos_accumulator_busy(sums); tries++) {
-        zygos_accumulator_proceed(sums);
         zygos_guard_proceed_energy(self, config, sums);
     }
 }
@@ -377,25 +377,26 @@ static void judge_joint(zygos_guard_t *self, const zygos_config_t *config, const
     self->motor_worst = (limit > 0.0) ? larger(self->motor_worst, found.residual / limit) : self->motor_worst;
 }
 
-void zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+bool zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                                 zygos_motor_sums_t *sums)
 {
     if (sums->task != (uint32_t)ZYGOS_MOTOR_JUDGE) {
+        const bool busy = (sums->task != (uint32_t)ZYGOS_MOTOR_NONE);
         zygos_motor_sums_proceed(sums, config);
-        return;
+        return busy;
     }
     if (sums->joint == 0) {
         self->motor_worst = 0.0;
         self->motor_informative = 0;
         if (!has_running_solution(self, column_map->parameters)) {
             zygos_motor_sums_judged(sums, true);
-            return;
+            return true;
         }
     }
     judge_joint(self, config, column_map, sums);
     if (sums->joint + 1u < config->joints) {
         sums->joint++;
-        return;
+        return true;
     }
     double there = 0.0;
     for (uint32_t b = 0; b < sums->count; b++) {
@@ -405,6 +406,7 @@ void zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *confi
     count(self, config, (uint32_t)ZYGOS_MOTOR_ROWS, self->motor_worst > 1.0, self->motor_informative != 0,
           sums->closing.total, there, sums->closing.end, sums->closing_cycles);
     zygos_motor_sums_judged(sums, !(self->motor_worst > 1.0));
+    return true;
 }
 
 void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
@@ -412,7 +414,7 @@ void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config
 {
     const uint32_t most = 4u * (uint32_t)ZYGOS_MAX_JOINTS + 2u * (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS;
     for (uint32_t tries = 0; (tries < most) && (sums->task != (uint32_t)ZYGOS_MOTOR_NONE); tries++) {
-        zygos_guard_proceed_motors(self, config, column_map, sums);
+        (void)zygos_guard_proceed_motors(self, config, column_map, sums);
     }
 }
 
@@ -485,12 +487,13 @@ static void judge_momentum(zygos_guard_t *self, const zygos_config_t *config, zy
     zygos_momentum_sums_judged(sums, !contradicts);
 }
 
-void zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,
+bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,
                                   const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums)
 {
     if (sums->task != (uint32_t)ZYGOS_MOMENTUM_JUDGE) {
+        const bool busy = (sums->task != (uint32_t)ZYGOS_MOMENTUM_NONE);
         zygos_momentum_sums_proceed(sums, config);
-        return;
+        return busy;
     }
     const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
     if (sums->row == 0) {
@@ -498,7 +501,7 @@ void zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *con
         self->momentum_noise = none;
         if (!has_running_solution(self, column_map->parameters) || !(self->momentum.residual > 0.0)) {
             zygos_momentum_sums_judged(sums, true);
-            return;
+            return true;
         }
     }
     uint32_t place[ZYGOS_MAX_MOMENTUM];
@@ -511,6 +514,7 @@ void zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *con
     if (end >= sums->columns) {
         judge_momentum(self, config, sums);
     }
+    return true;
 }
 
 void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *config,
@@ -518,7 +522,7 @@ void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *conf
 {
     const uint32_t most = 8u * ZYGOS_MOMENTUM_PASS_CYCLES + 2u * (uint32_t)ZYGOS_MOMENTUM_PLACES;
     for (uint32_t tries = 0; (tries < most) && (sums->task != (uint32_t)ZYGOS_MOMENTUM_NONE); tries++) {
-        zygos_guard_proceed_momentum(self, config, column_map, sums);
+        (void)zygos_guard_proceed_momentum(self, config, column_map, sums);
     }
 }
 

@@ -8,6 +8,7 @@ _Static_assert((ZYGOS_MOMENTUM == 0) || (ZYGOS_MIN_ARCS < ZYGOS_MAX_MOMENTUM_BLO
                "an arc that closes needs a block");
 
 #define COUNTED 1e-9 /* counts add up exactly */
+#define MOST_COMPONENTS 3u
 
 static uint32_t width_of(const zygos_momentum_sums_t *self)
 {
@@ -332,12 +333,21 @@ static void eliminate(zygos_momentum_sums_t *self)
     zygos_momentum_gram_t *rows = &self->closing.rows;
     double *entry = &rows->gram[zygos_gram_entries(self->row)];
     const double *noise = &self->noise_closing.gram[zygos_gram_entries((self->row < p) ? self->row : 0u)];
+    const uint32_t components = (self->components < MOST_COMPONENTS) ? self->components : MOST_COMPONENTS;
+    const double *constant[MOST_COMPONENTS];
+    for (uint32_t c = 0; c < components; c++) {
+        constant[c] = &rows->gram[zygos_gram_entries(p + c)];
+    }
     for (uint32_t a = self->row; (a < end) && (a < p); a++) {
         double row = 0.0;
+        double mean[MOST_COMPONENTS]; /* of this column in the rows of each component */
+        for (uint32_t c = 0; c < components; c++) {
+            const double n = constant[c][p + c];
+            mean[c] = (n > 0.0) ? constant[c][a] / n : 0.0;
+        }
         for (uint32_t b = 0; b <= a; b++) {
-            for (uint32_t c = 0; c < self->components; c++) {
-                const double *s = &rows->gram[zygos_gram_entries(p + c)];
-                *entry -= (s[p + c] > 0.0) ? s[a] * s[b] / s[p + c] : 0.0;
+            for (uint32_t c = 0; c < components; c++) {
+                *entry -= mean[c] * constant[c][b];
             }
             *entry -= *noise;
             row += *entry;
@@ -388,7 +398,7 @@ static void begin_merge(zygos_momentum_sums_t *self)
 
 static void admit(zygos_momentum_sums_t *self)
 {
-    const uint32_t end = zygos_momentum_sums_part(self, 2u);
+    const uint32_t end = zygos_momentum_sums_part(self, 1u);
     const uint32_t last = zygos_gram_entries(end);
     const uint32_t inner = zygos_gram_entries(self->columns);
     const double factor = (double)self->admitted / self->noise_fade;
@@ -422,7 +432,7 @@ static void admit(zygos_momentum_sums_t *self)
 
 static void merge(zygos_momentum_sums_t *self)
 {
-    const uint32_t end = zygos_momentum_sums_part(self, 2u);
+    const uint32_t end = zygos_momentum_sums_part(self, 1u);
     zygos_momentum_block_t *to = &self->block[self->place];
     zygos_momentum_block_t *from = &self->block[(self->place + 1u < self->count) ? self->place + 1u : self->place];
     for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {

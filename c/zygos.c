@@ -153,7 +153,7 @@ static int check_config(const zygos_config_t *config)
     }
     if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
         !within(config->imu_latch_s, 0.0, config->period_s) || !within(config->imu_sigma, 0.0, 1.0) ||
-        !within(config->forgetting_factor, 0.9, 1.0) || (config->compensation > 2u * ZYGOS_MAX_JOINTS + 1u)) {
+        !within(config->forgetting_factor, 0.9, 1.0) || (config->compensation > 2u * ZYGOS_MAX_JOINTS + 3u)) {
         return ZYGOS_E_VALUE;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -321,12 +321,16 @@ static bool fades(const zygos_t *self, double product)
     return (self->config.forgetting_factor < 1.0) && (product >= 0.0) && (product < 1.0);
 }
 
-/* The arc before is admitted before it fades. Behind an arc that is too short to be of use, all fades with the next. */
+/* Sums of closed arcs fade when an arc ends. What is being done to them is finished before, but not for an arc that is
+   too short to be of use: all fades with the next arc then. */
 static void end_arc(zygos_t *self)
 {
-    if (!zygos_accumulator_is_short(&self->accumulator)) {
+    const bool rests = zygos_accumulator_rests(&self->accumulator);
+    if (rests || !zygos_accumulator_is_short(&self->accumulator)) {
         if (fades(self, self->forgetting)) {
-            zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+            if (!rests) {
+                zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+            }
             zygos_accumulator_forget(&self->accumulator, self->forgetting);
         }
         self->forgetting = 1.0;
@@ -337,7 +341,7 @@ static void end_arc(zygos_t *self)
 
 static void end_joint_arc(zygos_t *self)
 {
-    if (!zygos_motor_sums_is_short(&self->motor_sums)) {
+    if ((self->motor_sums.task == ZYGOS_MOTOR_NONE) || !zygos_motor_sums_is_short(&self->motor_sums)) {
         if (fades(self, self->motors_forgetting)) {
             zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
             zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
@@ -349,7 +353,7 @@ static void end_joint_arc(zygos_t *self)
 
 static void end_momentum_arc(zygos_t *self)
 {
-    if (!zygos_momentum_sums_is_short(&self->momentum_sums)) {
+    if ((self->momentum_sums.task == ZYGOS_MOMENTUM_NONE) || !zygos_momentum_sums_is_short(&self->momentum_sums)) {
         if (fades(self, self->momentum_forgetting)) {
             zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
             zygos_momentum_sums_forget(&self->momentum_sums, self->momentum_forgetting);
@@ -402,41 +406,44 @@ static void suspect(zygos_t *self)
     self->places = ~places_of(self);
 }
 
-/* The motor impulse rows of the newest instant, which have arcs of their own. */
-static void add_impulses(zygos_t *self)
+/* The motor impulse rows of the newest instant, which have arcs of their own. Returns whether a task proceeded. */
+static bool add_impulses(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
     if (config->impulse_arc_cycles == 0) {
-        return;
+        return false;
     }
     if (zygos_impulse_row(&self->impulse, config, &self->motor_sums.column_map, &self->arm_state, &self->motion,
                           zygos_balance_torque_before(&self->balance),
                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
-        return;
+        return false;
     }
     zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
-    zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
+    const bool busy = zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
     if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
         end_joint_arc(self);
         zygos_impulse_new_arc(&self->impulse);
     }
+    return busy;
 }
 
-/* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. */
-static void add_momentum(zygos_t *self)
+/* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. busy: a task proceeded.
+   Returns the same. */
+static bool add_momentum(zygos_t *self, bool busy)
 {
     const zygos_config_t *config = &self->config;
     if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) || (self->momentum_sums.components == 0) ||
         (zygos_momentum_advance(&self->momentum, config, &self->arm_state) == 0)) {
-        return;
+        return busy;
     }
     zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->arm_state, &self->motion,
                             self->arm_state.accepted);
-    zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums);
+    busy = busy || zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums);
     if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
         end_momentum_arc(self);
         zygos_momentum_new_arc(&self->momentum);
     }
+    return busy;
 }
 
 /* The joint rows: integrals of the newest instant, the row that is due, and the next part of a complete segment. */
@@ -457,8 +464,8 @@ static void add_joints(zygos_t *self)
     }
 }
 
-/* The energy row of the newest instant. */
-static void add_energy(zygos_t *self)
+/* The energy row of the newest instant. busy: a task of other rows proceeded; one is enough for a cycle. */
+static void add_energy(zygos_t *self, bool busy)
 {
     const zygos_config_t *config = &self->config;
     zygos_row_t columns; /* before they are reduced, where they are */
@@ -480,8 +487,10 @@ static void add_energy(zygos_t *self)
         zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
                         self->arc, self->arm_state.accepted, noise->gram, noise->sum);
-    zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
-    zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
+    const bool opened = zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
+    if (!opened && !busy) {
+        zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
+    }
     if (!whole) {
         suspect(self);
     }
@@ -530,10 +539,9 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
         return;
     }
     zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
-    add_impulses(self);
-    add_momentum(self);
+    const bool busy = add_momentum(self, add_impulses(self));
     add_joints(self);
-    add_energy(self);
+    add_energy(self, busy);
 }
 
 /* Not memcmp(): compilers make a call of bcmp() of it. A configuration has no padding. */

@@ -268,8 +268,10 @@ class Arm:
 
     @property
     def compensation(self) -> int:
-        """Cycles between two compensations of the same sensor; by default one sensor is compensated in each cycle."""
-        return 2 * self.n + 1 if self.compensate_every is None else self.compensate_every
+        """Cycles between two compensations of the same sensor; by default one sensor is compensated in each cycle, or
+        one axis of the gyro in space."""
+        axes = 3 if self.free and self.spatial else 1
+        return 2 * self.n + axes if self.compensate_every is None else self.compensate_every
 
     @property
     def momentum_arc_s(self) -> float:
@@ -632,8 +634,8 @@ def _compensation(table: Table) -> int | None:
             "every",
             "The noise of each sensor is compensated once in this many cycles. 1: in every cycle; 0: never.",
             low=0,
-            high=15,
-            otherwise="twice the number of joints, plus 1",
+            high=17,
+            otherwise="twice the number of joints, plus 1, or plus 3 where the arm floats in space",
         )
     table.finish()
     return every

@@ -12,10 +12,11 @@
 ///
 /// All cycles cost nearly the same. The rows of ZYGOS_BUFFER_ROWS instants are summed in a buffer, which is then added
 /// to two blocks, a slice in each cycle. Everything else that takes time in proportion to a block is a task that
-/// proceeds by a part in each cycle that does not open a segment: to verify the blocks of an arc that ended, to
-/// eliminate its constant, to compare it with the running solution (guard.h), to admit it to the closed arcs, to merge
-/// two blocks, and to clear one. An arc is closing from its end until it is admitted. Who reads the sums finishes these
-/// tasks on a copy first; the result is then the same as if they had been finished when the arc ended.
+/// proceeds by a part in a cycle that neither opens a segment nor proceeds with a task of other rows: to verify the
+/// blocks of an arc that ended, to eliminate its constant, to compare it with the running solution (guard.h), to admit
+/// it to the closed arcs, to merge two blocks, and to clear one. An arc is closing from its end until it is admitted.
+/// Who reads the sums finishes these tasks on a copy first; the result is then the same as if they had been finished
+/// when the arc ended.
 ///
 /// The bias of the sums by noise (noise.h) is summed beside the rows of a buffer, and is subtracted with them.
 ///
@@ -153,11 +154,11 @@ typedef struct {
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
 
 /// Adds one instant with weight 1 (accepted) or 0 (refused); the instructions are the same. The caller has added the
-/// noise of this instant to the noise of the buffer that is being filled. Cost: one rank-1 update of (p+2)(p+3)/2
-/// entries, the addition of that number / ZYGOS_BUFFER_ROWS to the blocks, twice as much in the first
-/// ZYGOS_BUFFER_ROWS instants of an arc, and a segment that is opened or a part of a task, of that number /
-/// ZYGOS_PASS_CYCLES entries.
-void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
+/// noise of this instant to the noise of the buffer that is being filled. Returns whether a segment was opened; the
+/// task need not proceed beside that. Cost: one rank-1 update of (p+2)(p+3)/2 entries, and the addition of that number
+/// / ZYGOS_BUFFER_ROWS to the blocks, twice as much in the first ZYGOS_BUFFER_ROWS instants of an arc. Where the tasks
+/// had no time to clear blocks, two blocks are cleared and merged at once.
+bool zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
 
 /// Adds the content of all buffers to the blocks. Cost: one pass over each of them.
 void zygos_accumulator_flush(zygos_accumulator_t *self);
@@ -175,7 +176,8 @@ bool zygos_accumulator_close(zygos_accumulator_t *self, uint64_t cycle, uint32_t
 bool zygos_accumulator_closing(const zygos_accumulator_t *self);
 
 /// Proceeds with the task, or begins the next one. ZYGOS_TASK_JUDGE is that of the caller, who ends it by one of the
-/// next two functions: this one does nothing then. Cost: a part of a pass over a block.
+/// next two functions: this one does nothing then. Cost: a part of a pass over a block, with (p+2)(p+3)/2 /
+/// ZYGOS_PASS_CYCLES entries.
 void zygos_accumulator_proceed(zygos_accumulator_t *self);
 
 /// Returns the row before which the next part of the task ends, with so many times the usual number of entries.
@@ -198,7 +200,10 @@ void zygos_accumulator_settle(zygos_accumulator_t *self);
 /// Ends the open arc and settles.
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
 
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Needs finished tasks. Cost: one
+/// Returns whether no task changes the sums of closed arcs, and no arc waits for its admission.
+bool zygos_accumulator_rests(const zygos_accumulator_t *self);
+
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Needs zygos_accumulator_rests(). Cost: one
 /// multiplication for each block.
 void zygos_accumulator_forget(zygos_accumulator_t *self, double factor);
 

@@ -372,7 +372,8 @@ typedef struct {
     double gravity[3];            ///< Gravity in the base frame [m/s^2]; 0 on a free base.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
     uint32_t compensation; ///< The bias of the normal equations by the declared noise is subtracted. 0: it is not; m,
-                           ///< 1..2 ZYGOS_MAX_JOINTS + 1: each sensor's part is computed in every m-th cycle.
+                           ///< 1..2 ZYGOS_MAX_JOINTS + 3: each sensor's part is computed in every m-th cycle, and that
+                           ///< of each axis of the gyro.
     uint32_t impulse_arc_cycles;  ///< Length of the arcs of motor rows, >= ZYGOS_MIN_ARC_INSTANTS; 0: no such rows.
     uint32_t effects;             ///< Number of effects to identify, 0..ZYGOS_MAX_EFFECTS.
     uint32_t base;                ///< enum zygos_base.

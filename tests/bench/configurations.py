@@ -22,6 +22,8 @@ from zygos.runs.cycles import Cycles
 
 SEGMENT = 250
 """Cycles that are of one kind: at rest, at random, smooth."""
+LOST = (600, 660)
+"""Cycles before which one is lost, so that the second arc ends while the first is closing."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,11 @@ def _ground(energy: bool) -> Configuration:
 
 BARE, JOINT_ROWS = ", bare", ", joint rows"
 _GROUND = "MAX_JOINTS=6 MAX_PARAMETERS=58 MAX_BLOCKS=12 MOMENTUM=0"
-_PAPER, _SPATIAL, _SEVEN = "MAX_JOINTS=2 SPATIAL=0 MOMENTUM=0", "MAX_JOINTS=3", "MAX_JOINTS=7 MAX_BLOCKS=12 MAX_MOTOR_BLOCKS=8 MAX_MOMENTUM_BLOCKS=8"
+_PAPER, _SPATIAL, _SEVEN = (
+    "MAX_JOINTS=2 SPATIAL=0 MOMENTUM=0",
+    "MAX_JOINTS=3",
+    "MAX_JOINTS=7 MAX_BLOCKS=12 MAX_MOTOR_BLOCKS=8 MAX_MOMENTUM_BLOCKS=8",
+)
 
 CONFIGURATIONS: dict[str, Callable[[], Configuration]] = {
     "paper, bare": lambda: _example("paper", _PAPER, _bare),
@@ -90,7 +96,10 @@ def with_effects(key: str) -> Configuration:
 
 
 def random_cycles(arm: Arm, count: int) -> Cycles:
-    """Cycles that are valid, in turns: at rest, at random (which the bandwidth test refuses), smooth with noise."""
+    """Cycles that are valid, in turns: at rest, at random (which the bandwidth test refuses), smooth with noise.
+
+    LOST cycles are missing.
+    """
     rng = np.random.default_rng(0)
     kind = np.arange(count) // SEGMENT % 3
     time = np.arange(count) * arm.period_s
@@ -101,6 +110,8 @@ def random_cycles(arm: Arm, count: int) -> Cycles:
         column[:] = np.where(kind == 1, rng.normal(size=count), np.where(kind == 2, smooth, 0.0))
     q, theta, tau, omega = np.split(signal, [arm.n, 2 * arm.n, 3 * arm.n], axis=1)
     sync = 50 + np.arange(count, dtype=np.uint64)  # the first cycle has an FTIME, which nothing is compared with
+    for lost in LOST:
+        sync[lost:] += 1
     return Cycles(sync, q, q + 1e-3 * theta, tau, 0.1 * omega, np.zeros(count, dtype=np.uint32))
 
 

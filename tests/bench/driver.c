@@ -37,7 +37,8 @@ enum kind {
     KIND_BLOCK, /* the row opens a segment, and so a block of the normal equations; a task begins or ends; or a segment
                    of joint rows is complete */
     KIND_ARC,   /* the row begins or ends its arc, or that of the motor or momentum rows */
-    KIND_CYCLE  /* any other row */
+    KIND_CYCLE, /* any other row */
+    KIND_EARLY  /* an arc ends while the one before is closing, whose tasks are finished at once */
 };
 
 /* What a cycle was, and all on which its cost may depend beside its data: its frames, whose turn it is, and where rings
@@ -84,6 +85,9 @@ static place_t step(uint32_t frames)
     const uint32_t of_energy = energy_task(sums);
     const uint32_t of_motors = (arm.motor_sums.task << 16u) | arm.motor_sums.joint;
     const uint32_t of_momentum = (arm.momentum_sums.task << 16u) | arm.momentum_sums.row;
+    const uint32_t open[3] = { arm.arc, arm.motor_sums.cycles, arm.momentum_sums.cycles };
+    const bool closing[3] = { zygos_accumulator_closing(sums) && (sums->closing_instants > 0),
+                              tasks[1] != ZYGOS_MOTOR_NONE, tasks[2] != ZYGOS_MOMENTUM_NONE };
     (void)zygos_step(&arm);
     driver_mark();
     const bool turned =
@@ -98,9 +102,11 @@ static place_t step(uint32_t frames)
     const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
     const bool block = (energy && opened) || turned || (joints->segments != segments);
     const uint32_t kind = edge ? KIND_ARC : (block ? KIND_BLOCK : KIND_CYCLE);
+    const bool early = (closing[0] && (arm.arc < open[0])) || (closing[1] && (arm.motor_sums.cycles < open[1])) ||
+                       (closing[2] && (arm.momentum_sums.cycles < open[2]));
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
     return (place_t){
-        .kind = instant ? kind : KIND_FILLS,
+        .kind = early ? KIND_EARLY : (instant ? kind : KIND_FILLS),
         .frames = frames,
         .turn = (arm.arc + sensors - 1u) % sensors,
         .joint_turn = arm.motor_sums.cycles % config->joints,

@@ -100,7 +100,9 @@ __attribute__((noinline)) void peer_zygos_sums(const zygos_arm_state_t *state)
 {
     if (zygos_balance_row(&arm.balance, &arm.config, &arm.column_map, &arm.noise.integral_bias, state, &arm.motion,
                           &arm.row)) {
-        zygos_accumulator_add(&arm.accumulator, &arm.row, 1.0);
+        if (!zygos_accumulator_add(&arm.accumulator, &arm.row, 1.0)) {
+            zygos_accumulator_proceed(&arm.accumulator);
+        }
     }
 }
 

@@ -50,16 +50,25 @@ def measure(target: str, name: str) -> tuple[list[dict[str, Any]], dict[str, flo
 
 
 def _costs(count: Count, stage: str) -> dict[str, Any]:
-    """Instructions: the mean of ordinary cycles; how far they are apart; and the most of any cycle."""
+    """Instructions: the mean of ordinary cycles; how far they are apart; and the most of any cycle, apart from those in
+    which an arc ends while the one before it is closing, and of these."""
     if stage in ("solver", "solve", LIBRARY):
         solved = None if stage == LIBRARY else count.tally.solve
-        return {"instructions": solved, "spread": None, "spread_by_place": None, "most": solved, "inputs": 1}
-    chosen, counted = count.ordinary(), count.stage(stage)
+        return {
+            "instructions": solved,
+            "spread": None,
+            "spread_by_place": None,
+            "most": solved,
+            "early": None,
+            "inputs": 1,
+        }
+    chosen, counted, early = count.ordinary(), count.stage(stage), count.early()
     return {
         "instructions": round(float(counted[chosen].mean()), 1),
         "spread": spread_by_data(count, stage),
         "spread_by_place": int(counted[chosen].max() - counted[chosen].min()),
-        "most": int(counted.max()),
+        "most": int(counted[~early].max()),
+        "early": int(counted[early].max()) if early.any() else None,
         "inputs": int(chosen.sum()),
     }
 

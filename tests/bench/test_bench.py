@@ -89,6 +89,18 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("target", "name"), [("x86-64", "paper, bare"), ("x86-64", "paper"), *(("m7", name) for name in CONFIGURATIONS)]
+)
+def test_no_cycle_costs_much_more_than_the_others(counted: Counter, target: str, name: str) -> None:
+    """What ends and opens arcs and blocks proceeds by a part per cycle; but not where arcs end in quick succession."""
+    count = counted(target, name, 750)
+    cycles, early = count.stage(TOGETHER), count.early()
+    assert cycles[~early].max() <= tables.FLAT * cycles[count.ordinary()].mean()
+    assert early.any() or not CONFIGURATIONS[name]().energy
+
+
+@pytest.mark.slow
 def test_compensation_and_motor_rows_cost_little(counted: Counter) -> None:
     """1,500 instructions of a mean cycle, at the most; effects cost something."""
     mean = {

@@ -118,7 +118,7 @@ REFUSALS = [
     (lib.ZYGOS_E_VALUE, "imu_fine", [2, 2**32 - 1]),
     (lib.ZYGOS_E_VALUE, "imu_sigma", [-1e-9, 1.1, NAN, INF]),
     (lib.ZYGOS_E_VALUE, "forgetting_factor", [0.0, 0.89, 1.0 + 1e-15, NAN]),
-    (lib.ZYGOS_E_VALUE, "compensation", [16, 2**32 - 1]),
+    (lib.ZYGOS_E_VALUE, "compensation", [18, 2**32 - 1]),
     (lib.ZYGOS_E_ARC, "arc_cycles", [0, MIN_ARC - 1]),
     (lib.ZYGOS_E_ARC, "impulse_arc_cycles", [1, MIN_ARC - 1]),
     (lib.ZYGOS_E_ARC, "momentum_arc_cycles", [1, MIN_ARC - 1]),

@@ -30,7 +30,7 @@ _COUNTED = {"joint": "joints", "effect": "effects", "reduction": "reductions"}
 def capacities(config: Any) -> dict[str, int]:
     """The least capacity, by macro, that a build needs for a ``zygos_config_t *``."""
     return {
-        "ZYGOS_MAX_JOINTS": max(config.joints, config.compensation // 2),
+        "ZYGOS_MAX_JOINTS": max(config.joints, (config.compensation - 2) // 2),
         "ZYGOS_MAX_HALF_WIDTH": config.smoother_half_width,
         "ZYGOS_MAX_EFFECTS": config.effects,
         "ZYGOS_MAX_REDUCTION": config.reductions,
