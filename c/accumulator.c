@@ -27,7 +27,7 @@ static double rounded(double instants)
 /* What the checksum protects. */
 #define MEMBERS 11u
 #define ORDER_WORDS (ZYGOS_ORDER_PLACES / 8u)
-#define WORDS (MEMBERS + ORDER_WORDS + ZYGOS_MAX_BLOCKS)
+#define WORDS (MEMBERS + ORDER_WORDS)
 
 /* The compiler's own memcpy() is a few loads, also where a freestanding build has no other than that of a library. */
 static void gather(const zygos_accumulator_t *self, uint64_t *word)
@@ -45,9 +45,6 @@ static void gather(const zygos_accumulator_t *self, uint64_t *word)
     __builtin_memcpy(&word[10], &self->noise_fade, sizeof word[10]);
     for (uint32_t i = 0; i < ORDER_WORDS; i++) {
         __builtin_memcpy(&word[MEMBERS + i], &self->order[8u * i], sizeof word[0]);
-    }
-    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_BLOCKS; i++) {
-        __builtin_memcpy(&word[MEMBERS + ORDER_WORDS + i], &self->fade[i], sizeof word[0]);
     }
 }
 
@@ -84,7 +81,6 @@ static bool repair(zygos_accumulator_t *self)
     self->arcs = (uint32_t)word[9];
     memcpy(&self->noise_fade, &word[10], sizeof word[10]);
     memcpy(self->order, &word[MEMBERS], sizeof self->order);
-    memcpy(self->fade, &word[MEMBERS + ORDER_WORDS], sizeof self->fade);
     reseal(self);
     return true;
 }
@@ -157,22 +153,22 @@ const zygos_block_t *zygos_accumulator_at(const zygos_accumulator_t *self, uint3
     return &self->block[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
 }
 
-static double fade_of(const zygos_accumulator_t *self, uint32_t rank)
+static double fade_of(const zygos_block_t *block)
 {
-    const uint32_t place = self->order[rank];
-    return self->fade[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
+    return (block->checksum != 0) ? block->fade : 1.0;
 }
 
 double zygos_accumulator_instants(const zygos_accumulator_t *self, uint32_t rank)
 {
-    return fade_of(self, rank) * zygos_accumulator_at(self, rank)->instants;
+    const zygos_block_t *block = zygos_accumulator_at(self, rank);
+    return fade_of(block) * block->instants;
 }
 
 static uint64_t checksum_of_block(const zygos_block_t *block, uint32_t width)
 {
-    const double weights[3] = { block->instants, block->square, block->overlap };
+    const double weights[4] = { block->instants, block->square, block->overlap, block->fade };
     return zygos_checksum_number(
-        zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 3), block->end);
+        zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 4), block->end);
 }
 
 /* Of a block of closed arcs. */
@@ -205,7 +201,6 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     self->noise_fade = 1.0;
     for (uint32_t r = 0; r < (uint32_t)ZYGOS_MAX_BLOCKS; r++) {
         self->order[r] = (uint8_t)r;
-        self->fade[r] = 1.0;
     }
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         self->buffer[b].shared = ZYGOS_BUFFER_ROWS;
@@ -262,7 +257,6 @@ static void append_block(zygos_accumulator_t *self)
     const uint8_t place = self->order[from];
     self->order[from] = self->order[self->count];
     self->order[self->count] = place;
-    self->fade[(place < ZYGOS_MAX_BLOCKS) ? place : 0u] = 1.0;
     self->count++;
     self->ready--;
 }
@@ -310,6 +304,7 @@ static void clear_rest(zygos_block_t *block, uint32_t width)
     block->instants = 0.0;
     block->square = 0.0;
     block->overlap = 0.0;
+    block->fade = 1.0;
     block->end = 0;
     block->checksum = 0;
 }
@@ -347,12 +342,12 @@ static void proceed_merge(zygos_accumulator_t *self)
 {
     zygos_block_t *to = at(self, first_of(self->places));
     const zygos_block_t *from = at(self, second_of(self->places));
-    double *own = &self->fade[to - self->block];
-    const double other = self->fade[from - self->block];
+    const double own = fade_of(to);
+    const double other = fade_of(from);
     if (self->row < self->width) {
         const uint32_t end = zygos_accumulator_part(self, 1u);
         for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
-            to->gram[k] = *own * to->gram[k] + other * from->gram[k];
+            to->gram[k] = own * to->gram[k] + other * from->gram[k];
         }
         self->row = end;
         return;
@@ -361,14 +356,14 @@ static void proceed_merge(zygos_accumulator_t *self)
     const bool closed = (to->checksum != 0);
     const bool whole = closed && is_whole(to, self->width) && is_whole(from, self->width);
     for (uint32_t i = 0; i < self->width; i++) {
-        to->sum[i] = *own * to->sum[i] + other * from->sum[i];
-        to->deviation[i] = *own * to->deviation[i] + other * from->deviation[i];
+        to->sum[i] = own * to->sum[i] + other * from->sum[i];
+        to->deviation[i] = own * to->deviation[i] + other * from->deviation[i];
     }
-    to->square = *own * (to->square + 2.0 * to->overlap) + other * from->square;
-    to->instants = *own * to->instants + other * from->instants;
+    to->square = own * (to->square + 2.0 * to->overlap) + other * from->square;
+    to->instants = own * to->instants + other * from->instants;
     to->overlap = other * from->overlap;
     to->end = from->end;
-    *own = 1.0;
+    to->fade = 1.0;
     if (closed) {
         seal(to, self->width, whole);
     }
@@ -579,6 +574,7 @@ static void proceed_centre(zygos_accumulator_t *self)
     }
     if (task_ends(self, end)) {
         block->end = self->closing_end;
+        block->fade = 1.0;
         seal(block, self->width, true);
         begin_task(self, ZYGOS_TASK_JUDGE, self->places);
     }
@@ -759,8 +755,10 @@ static void add_slices(zygos_accumulator_t *self, zygos_row_buffer_t *buffer, ui
 /* Those of the buffers that wait, the older one first. */
 static void share_out_slices(zygos_accumulator_t *self, uint32_t slices)
 {
+    uint32_t older = self->filling;
     for (uint32_t b = 1; b < ZYGOS_ROW_BUFFERS; b++) {
-        zygos_row_buffer_t *buffer = &self->buffer[(self->filling + b) % ZYGOS_ROW_BUFFERS];
+        older = (older + 1u < ZYGOS_ROW_BUFFERS) ? older + 1u : 0u;
+        zygos_row_buffer_t *buffer = &self->buffer[older];
         if (buffer->shared < ZYGOS_BUFFER_ROWS) {
             const uint32_t left = ZYGOS_BUFFER_ROWS - buffer->shared;
             add_slices(self, buffer, (slices < left) ? slices : left);
@@ -1076,10 +1074,11 @@ void zygos_accumulator_forget(zygos_accumulator_t *self, double factor)
     double left = 0.0;
     judge(self);
     for (uint32_t r = 0; r < self->open; r++) {
+        zygos_block_t *block = zygos_accumulator_block(self, r);
+        const bool whole = is_whole(block, self->width);
         const double instants = factor * zygos_accumulator_instants(self, r);
-        const uint32_t place = self->order[r];
-        self->fade[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u] *=
-            (instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
+        block->fade *= (instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
+        seal(block, self->width, whole);
         left += (instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? instants : 0.0;
     }
     self->noise_fade *= (left > 0.0) ? factor : 0.0;
@@ -1093,8 +1092,8 @@ void zygos_accumulator_forget(zygos_accumulator_t *self, double factor)
 void zygos_accumulator_apply_fade(zygos_accumulator_t *self)
 {
     for (uint32_t r = 0; r < self->open; r++) {
-        const double fade = fade_of(self, r);
         zygos_block_t *block = zygos_accumulator_block(self, r);
+        const double fade = block->fade;
         if (fade >= 1.0) {
             continue;
         }
@@ -1109,8 +1108,8 @@ void zygos_accumulator_apply_fade(zygos_accumulator_t *self)
         block->instants *= fade;
         block->square *= fade;
         block->overlap *= fade;
+        block->fade = 1.0;
         seal(block, self->width, whole);
-        self->fade[block - self->block] = 1.0;
     }
     for (uint32_t k = 0; (k < zygos_gram_entries(self->width)) && (self->noise_fade < 1.0); k++) {
         self->noise_closed.gram[k] *= self->noise_fade;
@@ -1155,7 +1154,7 @@ bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t paramete
                 (self->noise_fade > 0.0) && (self->rank >= self->open || self->fresh == self->open) &&
                 (self->rank <= self->fresh || self->fresh == self->open);
     for (uint32_t r = 0; good && (r < self->count); r++) {
-        good = is_count(zygos_accumulator_at(self, r)->instants) && is_factor(fade_of(self, r));
+        good = is_count(zygos_accumulator_at(self, r)->instants) && is_factor(fade_of(zygos_accumulator_at(self, r)));
     }
     return good;
 }
@@ -1273,7 +1272,7 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
     memset(gram, 0, size * sizeof gram[0]);
     for (uint32_t r = 0; r < self->open; r++) {
         const zygos_block_t *block = zygos_accumulator_at(self, r);
-        const double fade = fade_of(self, r);
+        const double fade = fade_of(block);
         for (uint32_t k = 0; k < size; k++) {
             gram[k] += fade * block->gram[k];
         }

@@ -9,11 +9,6 @@ static double magnitude(double x)
     return (x < 0.0) ? -x : x;
 }
 
-uint32_t zygos_gram_entries(uint32_t width)
-{
-    return width * (width + 1u) / 2u;
-}
-
 void zygos_gram_add(double *restrict gram, double *restrict sum, uint32_t width, const double *restrict z)
 {
     double total = 0.0;

@@ -57,8 +57,9 @@ typedef struct {
     double instants;                    ///< Sum of the weights w of accepted instants.
     double square;                      ///< Sum of w^2.
     double overlap;                     ///< Sum of w times the weight in the following block.
-    uint64_t end;                       ///< Closed arcs: number of the newest cycle.
-    uint64_t checksum;                  ///< Closed arcs: of deviation and the members after it; otherwise 0.
+    double fade;       ///< Closed arcs: factor of all of it (exponential forgetting); otherwise unused.
+    uint64_t end;      ///< Closed arcs: number of the newest cycle.
+    uint64_t checksum; ///< Closed arcs: of deviation and the members after it; otherwise 0.
 } zygos_block_t;
 
 /// The expected sums of products of noise: packed lower triangle of p + 1 rows, the work last, and its row sums. As
@@ -130,17 +131,16 @@ typedef struct {
     double segment;       ///< Accepted instants of the open segment.
     uint64_t accepted;    ///< Instants in closed arcs, in the closing one and in the open one.
     uint64_t refused;     ///< Instants that failed the bandwidth test.
-    uint64_t checksum; ///< Of width, count, open, fresh, newest, window, ready, arcs, enough, target, noise_fade, order
-                       ///< and fade.
-    double noise_fade; ///< Factor of noise_closed.
-    double overlap;    ///< What the block of the task shares with the block before it.
+    uint64_t checksum;    ///< Of width, count, open, fresh, newest, window, ready, arcs, enough, target, noise_fade and
+                          ///< order.
+    double noise_fade;    ///< Factor of noise_closed.
+    double overlap;       ///< What the block of the task shares with the block before it.
     double mean[ZYGOS_MAX_ROW]; ///< Of the closing arc.
     zygos_gram_scan_t scan;     ///< Row sums of the block that is verified.
     zygos_row_buffer_t buffer[ZYGOS_ROW_BUFFERS];
     zygos_noise_sums_t noise_open[2];  ///< Noise of the open and of the closing arc, subtracted from their blocks.
     zygos_noise_sums_t noise_closed;   ///< Noise of closed arcs, subtracted; reduced in proportion when an arc is
                                        ///< dropped. Without the factor noise_fade.
-    double fade[ZYGOS_MAX_BLOCKS];     ///< Factors of the blocks (exponential forgetting), by place.
     uint8_t order[ZYGOS_ORDER_PLACES]; ///< The places of the blocks in order of time, then those of free blocks.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
@@ -203,8 +203,8 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
 /// Returns whether no task changes the sums of closed arcs, and no arc waits for its admission.
 bool zygos_accumulator_rests(const zygos_accumulator_t *self);
 
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Needs zygos_accumulator_rests(). Cost: one
-/// multiplication for each block.
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Needs zygos_accumulator_rests(). Cost: two
+/// checksums of each block.
 void zygos_accumulator_forget(zygos_accumulator_t *self, double factor);
 
 /// Drops the open arc, and the blocks of closed arcs with cycles after the given one. A block in which such cycles were

@@ -11,8 +11,13 @@
 extern "C" {
 #endif
 
-/// Returns the number of entries of a triangle of that width.
-uint32_t zygos_gram_entries(uint32_t width);
+#ifndef ZYGOS_DECLARATIONS_ONLY
+/// Returns the number of entries of a triangle of that width. It is inline because each pass over a triangle needs it.
+static inline uint32_t zygos_gram_entries(uint32_t width)
+{
+    return width * (width + 1u) / 2u;
+}
+#endif
 
 /// Adds z z^T to gram, and its row sums to sum. The three arrays must not overlap. Cost: a product and a sum for each
 /// entry.

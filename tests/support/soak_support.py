@@ -53,7 +53,7 @@ def instants(flight: Flight) -> dict[str, list[float]]:
     """Of the blocks of closed arcs."""
     energy, motors, momentum = flight.native.accumulator, flight.native.motor_sums, flight.native.momentum_sums
     return {
-        "energy": [energy.fade[place] * energy.block[place].instants for place in energy.order[0 : energy.open]],
+        "energy": [energy.block[place].fade * energy.block[place].instants for place in energy.order[0 : energy.open]],
         "motors": [motors.block[b].fade * motors.block[b].total for b in range(motors.count)],
         "momentum": [momentum.block[b].fade * momentum.block[b].instants for b in range(momentum.count)],
     }
@@ -69,8 +69,7 @@ def resealed(sums: Any) -> int:
         names = ("width", "count", "open", "fresh", "newest", "window", "ready", "arcs")
         words += [getattr(sums, name) for name in names]
         words += np.array([sums.noise_fade]).view(np.uint64).tolist()
-        for array in (sums.order, sums.fade):
-            words += np.frombuffer(ffi.buffer(array), dtype=np.uint64).tolist()
+        words += np.frombuffer(ffi.buffer(sums.order), dtype=np.uint64).tolist()
     else:
         words.append(sums.count)
     checksum = 0

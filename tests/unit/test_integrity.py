@@ -105,7 +105,7 @@ def blocks(flight: Flight, kind: str) -> list[tuple[str, Any]]:
 
 
 SMALL = {
-    "accumulator": ("instants", "square", "overlap", "end", "checksum"),
+    "accumulator": ("instants", "square", "overlap", "fade", "end", "checksum"),
     "motor_sums": ("instants", "total", "end", "checksum"),
     "momentum_sums": ("instants", "end", "checksum"),
 }
@@ -181,7 +181,7 @@ def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cyc
         return changed.estimate().reason == CORRUPT
 
     assert not refused(other())
-    for member in ("instants", "square", "overlap", "end"):
+    for member in ("instants", "square", "overlap", "fade", "end"):
         closed, behind, opened = other(), other(), other()
         order = list(closed.native.accumulator.order)
         first = closed.native.accumulator.block[order[0]]

@@ -287,7 +287,7 @@ def _energy_instants(native: Any, instants: float) -> None:
     block = closed_block(native)
     block.instants = instants
     checksum = lib.zygos_checksum_doubles(1, block.deviation, sums.width)
-    for number in (block.instants, block.square, block.overlap):
+    for number in (block.instants, block.square, block.overlap, block.fade):
         checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double *", number), 1)
     block.checksum = lib.zygos_checksum_number(checksum, block.end)
 
