@@ -191,8 +191,8 @@ def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cyc
             setattr(block, member, getattr(block, member) + 1)
         assert refused(closed)
         assert refused(behind)
-        assert not refused(opened)  # the arc is dropped when it closes, which is when it gets its end
-        assert opened.native.accumulator.quarantined == (member != "end")
+        assert not refused(opened)  # the arc is dropped when it closes, which is when it gets its end and its factor
+        assert opened.native.accumulator.quarantined == (member not in ("fade", "end"))
     for kind, member in (("motor_sums", "total"), ("motor_sums", "end"), ("momentum_sums", "instants")):
         for place in (0, 1):
             changed = other()
