@@ -333,20 +333,19 @@ static void eliminate(zygos_momentum_sums_t *self)
     zygos_momentum_gram_t *rows = &self->closing.rows;
     double *entry = &rows->gram[zygos_gram_entries(self->row)];
     const double *noise = &self->noise_closing.gram[zygos_gram_entries((self->row < p) ? self->row : 0u)];
-    const uint32_t components = (self->components < MOST_COMPONENTS) ? self->components : MOST_COMPONENTS;
     const double *constant[MOST_COMPONENTS];
-    for (uint32_t c = 0; c < components; c++) {
+    for (uint32_t c = 0; (c < MOST_COMPONENTS) && (c < self->components); c++) {
         constant[c] = &rows->gram[zygos_gram_entries(p + c)];
     }
     for (uint32_t a = self->row; (a < end) && (a < p); a++) {
         double row = 0.0;
         double mean[MOST_COMPONENTS]; /* of this column in the rows of each component */
-        for (uint32_t c = 0; c < components; c++) {
+        for (uint32_t c = 0; (c < MOST_COMPONENTS) && (c < self->components); c++) {
             const double n = constant[c][p + c];
             mean[c] = (n > 0.0) ? constant[c][a] / n : 0.0;
         }
         for (uint32_t b = 0; b <= a; b++) {
-            for (uint32_t c = 0; c < components; c++) {
+            for (uint32_t c = 0; (c < MOST_COMPONENTS) && (c < self->components); c++) {
                 *entry -= mean[c] * constant[c][b];
             }
             *entry -= *noise;
