@@ -471,7 +471,7 @@ static void add_momentum_residuals(const zygos_guard_t *self, const uint32_t *pl
 
 static void judge_momentum(zygos_guard_t *self, const zygos_config_t *config, zygos_momentum_sums_t *sums)
 {
-    const double n = sums->closing.instants;
+    const double n = ZYGOS_MOMENTUM_CLOSING(sums).instants;
     zygos_finding_t found = self->momenta;
     found.residual += self->momentum_noise.residual;
     found.expected = self->momentum_noise.residual;
@@ -483,7 +483,7 @@ static void judge_momentum(zygos_guard_t *self, const zygos_config_t *config, zy
     }
     self->contradiction[ZYGOS_MOMENTUM_ROWS] = (limit > 0.0) ? found.residual / limit : 0.0;
     count(self, config, (uint32_t)ZYGOS_MOMENTUM_ROWS, contradicts, limit < INFORMATIVE * found.spread, n, there,
-          sums->closing.end, sums->closing_cycles);
+          ZYGOS_MOMENTUM_CLOSING(sums).end, sums->closing_cycles);
     zygos_momentum_sums_judged(sums, !contradicts);
 }
 
@@ -508,8 +508,8 @@ bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *con
     momentum_places(column_map, sums, place);
     const uint32_t part = zygos_momentum_sums_part(sums, 1u);
     const uint32_t end = (part < sums->columns) ? part : sums->columns;
-    add_momentum_residuals(self, place, sums->row, end, sums->noise_closing.gram, &self->momentum_noise);
-    add_momentum_residuals(self, place, sums->row, end, sums->closing.rows.gram, &self->momenta);
+    add_momentum_residuals(self, place, sums->row, end, ZYGOS_MOMENTUM_NOISE_CLOSING(sums).gram, &self->momentum_noise);
+    add_momentum_residuals(self, place, sums->row, end, ZYGOS_MOMENTUM_CLOSING(sums).rows.gram, &self->momenta);
     sums->row = end;
     if (end >= sums->columns) {
         judge_momentum(self, config, sums);

@@ -93,9 +93,9 @@ static void fade_noise(zygos_momentum_sums_t *self, double factor)
 
 void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self)
 {
-    clear_gram(&self->open.rows, width_of(self));
-    clear_gram(&self->noise_open, self->columns);
-    self->open.instants = 0.0;
+    clear_gram(&ZYGOS_MOMENTUM_OPEN(self).rows, width_of(self));
+    clear_gram(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns);
+    ZYGOS_MOMENTUM_OPEN(self).instants = 0.0;
     self->cycles = 0;
 }
 
@@ -107,9 +107,9 @@ static void begin_task(zygos_momentum_sums_t *self, uint32_t task)
 
 static void leave_closing_out(zygos_momentum_sums_t *self)
 {
-    clear_gram(&self->closing.rows, width_of(self));
-    clear_gram(&self->noise_closing, self->columns);
-    self->closing.instants = 0.0;
+    clear_gram(&ZYGOS_MOMENTUM_CLOSING(self).rows, width_of(self));
+    clear_gram(&ZYGOS_MOMENTUM_NOISE_CLOSING(self), self->columns);
+    ZYGOS_MOMENTUM_CLOSING(self).instants = 0.0;
     self->closing_cycles = 0;
     begin_task(self, ZYGOS_MOMENTUM_NONE);
 }
@@ -181,13 +181,13 @@ bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
     const bool none = (config->momentum_arc_cycles == 0);
-    bool good =
-        (self->columns == columns_of(config)) && (self->components == components_of(config)) &&
-        (self->signals == signals_of(config)) && (width_of(self) <= (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) &&
-        (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) && is_count(self->open.instants) &&
-        is_count(self->closing.instants) && zygos_momentum_sums_steady(self) && is_factor(self->noise_fade) &&
-        (self->noise_fade > 0.0) &&
-        (none ? (self->count == 0) && !(self->open.instants > 0.0) : (self->target >= 1.0) && is_count(self->target));
+    bool good = (self->columns == columns_of(config)) && (self->components == components_of(config)) &&
+                (self->signals == signals_of(config)) && (width_of(self) <= (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) &&
+                (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) && is_count(ZYGOS_MOMENTUM_OPEN(self).instants) &&
+                is_count(ZYGOS_MOMENTUM_CLOSING(self).instants) && zygos_momentum_sums_steady(self) &&
+                is_factor(self->noise_fade) && (self->noise_fade > 0.0) &&
+                (none ? (self->count == 0) && !(ZYGOS_MOMENTUM_OPEN(self).instants > 0.0)
+                      : (self->target >= 1.0) && is_count(self->target));
     for (uint32_t b = 0; good && (b < self->count); b++) {
         good = is_count(self->block[b].instants) && is_factor(self->block[b].fade);
     }
@@ -207,16 +207,16 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
     for (uint32_t k = 0; k < self->components; k++) {
         z[self->columns + k] = (k == component) ? weight : 0.0;
     }
-    zygos_gram_add(self->open.rows.gram, self->open.rows.sum, width_of(self), z);
+    zygos_gram_add(ZYGOS_MOMENTUM_OPEN(self).rows.gram, ZYGOS_MOMENTUM_OPEN(self).rows.sum, width_of(self), z);
     if (self->signals > 0) {
         const uint32_t signal = self->cycles / self->components % self->signals;
         zygos_momentum_derivative(momentum, config, motion, component, signal, z);
         for (uint32_t k = 0; k < self->columns; k++) {
             z[k] *= weight * self->deviation[signal];
         }
-        zygos_gram_add(self->noise_open.gram, self->noise_open.sum, self->columns, z);
+        zygos_gram_add(ZYGOS_MOMENTUM_NOISE_OPEN(self).gram, ZYGOS_MOMENTUM_NOISE_OPEN(self).sum, self->columns, z);
     }
-    self->open.instants += weight;
+    ZYGOS_MOMENTUM_OPEN(self).instants += weight;
     self->cycles++;
 }
 
@@ -243,27 +243,25 @@ static double instants_of(const zygos_momentum_block_t *block)
 
 bool zygos_momentum_sums_is_short(const zygos_momentum_sums_t *self)
 {
-    return self->open.instants < (double)ZYGOS_MIN_ARC_INSTANTS;
+    return ZYGOS_MOMENTUM_OPEN(self).instants < (double)ZYGOS_MIN_ARC_INSTANTS;
 }
 
 bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle)
 {
     if (zygos_momentum_sums_is_short(self)) {
-        zygos_momentum_sums_leave_out(self);
+        if (ZYGOS_MOMENTUM_OPEN(self).instants > 0.0) { /* refused instants have added nothing */
+            zygos_momentum_sums_leave_out(self);
+        }
+        self->cycles = 0;
         return false;
     }
-    memcpy(self->closing.rows.gram, self->open.rows.gram,
-           zygos_gram_entries(width_of(self)) * sizeof self->open.rows.gram[0]);
-    memcpy(self->closing.rows.sum, self->open.rows.sum, width_of(self) * sizeof self->open.rows.sum[0]);
-    memcpy(self->noise_closing.gram, self->noise_open.gram,
-           zygos_gram_entries(self->columns) * sizeof self->noise_open.gram[0]);
-    memcpy(self->noise_closing.sum, self->noise_open.sum, self->columns * sizeof self->noise_open.sum[0]);
-    self->closing.instants = self->open.instants;
-    self->closing.fade = 1.0;
-    self->closing.end = cycle;
+    self->parity ^= 1u;
+    zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
+    closing->fade = 1.0;
+    closing->end = cycle;
     self->closing_cycles = self->cycles;
+    self->cycles = 0;
     self->admitted = 0;
-    zygos_momentum_sums_leave_out(self);
     memset(&self->scan, 0, sizeof self->scan);
     begin_task(self, ZYGOS_MOMENTUM_VERIFY_ROWS);
     return true;
@@ -280,13 +278,13 @@ static void reject(zygos_momentum_sums_t *self)
 static void verify_rows(zygos_momentum_sums_t *self)
 {
     const uint32_t end = zygos_momentum_sums_part(self, 1u);
-    const zygos_momentum_gram_t *rows = &self->closing.rows;
+    const zygos_momentum_gram_t *rows = &ZYGOS_MOMENTUM_CLOSING(self).rows;
     zygos_gram_scan(&self->scan, rows->gram, self->row, end);
     self->row = end;
     if (end < width_of(self)) {
         return;
     }
-    const double instants = self->closing.instants;
+    const double instants = ZYGOS_MOMENTUM_CLOSING(self).instants;
     double off = -instants; /* the constants' diagonal counts as well */
     for (uint32_t c = 0; c < self->components; c++) {
         off += rows->gram[zygos_gram_entries(self->columns + c + 1u) - 1u];
@@ -304,8 +302,8 @@ static void verify_noise(zygos_momentum_sums_t *self, const zygos_config_t *conf
 {
     const uint32_t end = zygos_momentum_sums_part(self, 1u);
     const uint32_t last = (end < self->columns) ? end : self->columns;
-    zygos_momentum_gram_t *noise = &self->noise_closing;
-    const double instants = self->closing.instants;
+    zygos_momentum_gram_t *noise = &ZYGOS_MOMENTUM_NOISE_CLOSING(self);
+    const double instants = ZYGOS_MOMENTUM_CLOSING(self).instants;
     zygos_gram_scan(&self->scan, noise->gram, self->row, last);
     self->row = last;
     if (last < self->columns) {
@@ -321,7 +319,7 @@ static void verify_noise(zygos_momentum_sums_t *self, const zygos_config_t *conf
         noise->gram[zygos_gram_entries(place + 1u) - 1u] += owed;
         noise->sum[place] += owed;
     }
-    memset(self->closing.rows.sum, 0, width_of(self) * sizeof self->closing.rows.sum[0]);
+    memset(ZYGOS_MOMENTUM_CLOSING(self).rows.sum, 0, width_of(self) * sizeof ZYGOS_MOMENTUM_CLOSING(self).rows.sum[0]);
     begin_task(self, ZYGOS_MOMENTUM_ELIMINATE);
 }
 
@@ -330,9 +328,10 @@ static void eliminate(zygos_momentum_sums_t *self)
 {
     const uint32_t p = self->columns;
     const uint32_t end = zygos_momentum_sums_part(self, 1u);
-    zygos_momentum_gram_t *rows = &self->closing.rows;
+    zygos_momentum_gram_t *rows = &ZYGOS_MOMENTUM_CLOSING(self).rows;
     double *entry = &rows->gram[zygos_gram_entries(self->row)];
-    const double *noise = &self->noise_closing.gram[zygos_gram_entries((self->row < p) ? self->row : 0u)];
+    const double *noise =
+        &ZYGOS_MOMENTUM_NOISE_CLOSING(self).gram[zygos_gram_entries((self->row < p) ? self->row : 0u)];
     const double *constant[MOST_COMPONENTS];
     for (uint32_t c = 0; (c < MOST_COMPONENTS) && (c < self->components); c++) {
         constant[c] = &rows->gram[zygos_gram_entries(p + c)];
@@ -395,6 +394,7 @@ static void begin_merge(zygos_momentum_sums_t *self)
     self->checksum = checksum_of(self);
 }
 
+/* Moves the closing arc to the next block and its noise to that of closed arcs, or leaves both out. */
 static void admit(zygos_momentum_sums_t *self)
 {
     const uint32_t end = zygos_momentum_sums_part(self, 1u);
@@ -402,28 +402,36 @@ static void admit(zygos_momentum_sums_t *self)
     const uint32_t inner = zygos_gram_entries(self->columns);
     const double factor = (double)self->admitted / self->noise_fade;
     zygos_momentum_block_t *to = &self->block[(self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES) ? self->count : 0u];
+    zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
+    zygos_momentum_gram_t *noise = &ZYGOS_MOMENTUM_NOISE_CLOSING(self);
     for (uint32_t k = zygos_gram_entries(self->row); k < last; k++) {
-        to->rows.gram[k] = self->closing.rows.gram[k];
+        to->rows.gram[k] = closing->rows.gram[k];
+        closing->rows.gram[k] = 0.0;
     }
     for (uint32_t k = zygos_gram_entries(self->row); (k < last) && (k < inner); k++) {
-        self->noise_closed.gram[k] += factor * self->noise_closing.gram[k];
+        self->noise_closed.gram[k] += factor * noise->gram[k];
+        noise->gram[k] = 0.0;
     }
     self->row = end;
     if (end < width_of(self)) {
         return;
     }
-    memcpy(to->rows.sum, self->closing.rows.sum, width_of(self) * sizeof to->rows.sum[0]);
+    memcpy(to->rows.sum, closing->rows.sum, width_of(self) * sizeof to->rows.sum[0]);
+    memset(closing->rows.sum, 0, width_of(self) * sizeof to->rows.sum[0]);
     for (uint32_t i = 0; i < self->columns; i++) {
-        self->noise_closed.sum[i] += factor * self->noise_closing.sum[i];
+        self->noise_closed.sum[i] += factor * noise->sum[i];
+        noise->sum[i] = 0.0;
     }
-    to->instants = self->closing.instants;
+    to->instants = closing->instants;
     to->fade = 1.0;
-    to->end = self->closing.end;
+    to->end = closing->end;
     to->checksum = checksum_of_block(to);
     judge(self);
     self->count += self->admitted;
     self->checksum = checksum_of(self);
-    leave_closing_out(self);
+    closing->instants = 0.0;
+    self->closing_cycles = 0;
+    begin_task(self, ZYGOS_MOMENTUM_NONE);
     if (self->count >= (uint32_t)ZYGOS_MOMENTUM_PLACES) {
         begin_merge(self);
     }
@@ -475,8 +483,30 @@ static void shift(zygos_momentum_sums_t *self)
     self->place++;
 }
 
+/* Whether the task changes the sums of closed arcs. */
+static bool changes_blocks(const zygos_momentum_sums_t *self)
+{
+    return (self->task == (uint32_t)ZYGOS_MOMENTUM_ADMIT) || (self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) ||
+           (self->task == (uint32_t)ZYGOS_MOMENTUM_SHIFT);
+}
+
+static void proceed_with_blocks(zygos_momentum_sums_t *self)
+{
+    if (self->task == (uint32_t)ZYGOS_MOMENTUM_ADMIT) {
+        admit(self);
+    } else if (self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) {
+        merge(self);
+    } else {
+        shift(self);
+    }
+}
+
 void zygos_momentum_sums_proceed(zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
+    if (changes_blocks(self)) {
+        proceed_with_blocks(self);
+        return;
+    }
     switch (self->task) {
     case ZYGOS_MOMENTUM_VERIFY_ROWS:
         verify_rows(self);
@@ -486,15 +516,6 @@ void zygos_momentum_sums_proceed(zygos_momentum_sums_t *self, const zygos_config
         break;
     case ZYGOS_MOMENTUM_ELIMINATE:
         eliminate(self);
-        break;
-    case ZYGOS_MOMENTUM_ADMIT:
-        admit(self);
-        break;
-    case ZYGOS_MOMENTUM_MERGE:
-        merge(self);
-        break;
-    case ZYGOS_MOMENTUM_SHIFT:
-        shift(self);
         break;
     default:
         break;
@@ -565,13 +586,10 @@ static double closed_instants(const zygos_momentum_sums_t *self)
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 {
     zygos_momentum_sums_leave_out(self);
-    for (uint32_t tries = 0;
-         (tries < 4u * (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
-         ((self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) || (self->task == (uint32_t)ZYGOS_MOMENTUM_SHIFT));
-         tries++) {
-        (self->task == (uint32_t)ZYGOS_MOMENTUM_MERGE) ? merge(self) : shift(self);
+    for (uint32_t tries = 0; (tries < 4u * (uint32_t)ZYGOS_MOMENTUM_PLACES) && changes_blocks(self); tries++) {
+        proceed_with_blocks(self);
     }
-    if ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) && (self->closing.end > cycle)) {
+    if ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) && (ZYGOS_MOMENTUM_CLOSING(self).end > cycle)) {
         leave_closing_out(self);
     }
     judge(self);
@@ -616,8 +634,8 @@ double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
     if (!whole) {
         return 2.0;
     }
-    double worst = violation(&self->open.rows, width, self->open.instants);
-    const double open = violation(&self->noise_open, self->columns, self->open.instants);
+    double worst = violation(&ZYGOS_MOMENTUM_OPEN(self).rows, width, ZYGOS_MOMENTUM_OPEN(self).instants);
+    const double open = violation(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns, ZYGOS_MOMENTUM_OPEN(self).instants);
     const double closed = violation(&self->noise_closed, self->columns, closed_instants(self));
     worst = (open > worst) ? open : worst;
     worst = (closed > worst) ? closed : worst;
@@ -669,8 +687,9 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
     }
     self->count = to;
     self->checksum = checksum_of(self);
-    if (!is_count(self->open.instants) || !(violation(&self->open.rows, width_of(self), self->open.instants) <= 1.0) ||
-        !(violation(&self->noise_open, self->columns, self->open.instants) <= 1.0)) {
+    if (!is_count(ZYGOS_MOMENTUM_OPEN(self).instants) ||
+        !(violation(&ZYGOS_MOMENTUM_OPEN(self).rows, width_of(self), ZYGOS_MOMENTUM_OPEN(self).instants) <= 1.0) ||
+        !(violation(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns, ZYGOS_MOMENTUM_OPEN(self).instants) <= 1.0)) {
         self->quarantined++;
         zygos_momentum_sums_leave_out(self);
     }

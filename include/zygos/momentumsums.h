@@ -60,31 +60,38 @@ typedef struct {
 #define ZYGOS_MOMENTUM_SHIFT 7u        ///< Moves a block to the place before it.
 #define ZYGOS_MOMENTUM_TASKS 8u
 
+/// The open and the closing arc, and their noise.
+#define ZYGOS_MOMENTUM_OPEN(self) ((self)->arc[(self)->parity & 1u])
+#define ZYGOS_MOMENTUM_CLOSING(self) ((self)->arc[((self)->parity & 1u) ^ 1u])
+#define ZYGOS_MOMENTUM_NOISE_OPEN(self) ((self)->noise_arc[(self)->parity & 1u])
+#define ZYGOS_MOMENTUM_NOISE_CLOSING(self) ((self)->noise_arc[((self)->parity & 1u) ^ 1u])
+
 /// The normal equations of the momentum rows.
 typedef struct {
-    uint32_t columns;                       ///< Number of columns; 0 where the configuration has no such rows.
-    uint32_t components;                    ///< Number of components: 3 in space, 1 in a plane.
-    uint32_t count;                         ///< Number of blocks of closed arcs.
-    uint32_t corrupt;                       ///< 1: count and target did not match, and no single bit explains that.
-    uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
-    uint32_t signals;                       ///< Sensors whose noise is subtracted; 0 where none is.
-    uint32_t quarantined;                   ///< Arcs and blocks that were dropped since the last zygos_scrub().
-    uint32_t task;                          ///< One of the tasks above.
-    uint32_t row;                           ///< The next row of the task.
-    uint32_t place;                         ///< The block that the task changes.
-    uint32_t admitted;                      ///< 1: the closing arc is admitted.
+    uint32_t columns;     ///< Number of columns; 0 where the configuration has no such rows.
+    uint32_t components;  ///< Number of components: 3 in space, 1 in a plane.
+    uint32_t count;       ///< Number of blocks of closed arcs.
+    uint32_t corrupt;     ///< 1: count and target did not match, and no single bit explains that.
+    uint32_t cycles;      ///< Instants of the open arc, accepted or not.
+    uint32_t signals;     ///< Sensors whose noise is subtracted; 0 where none is.
+    uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_scrub().
+    uint32_t task;        ///< One of the tasks above.
+    uint32_t row;         ///< The next row of the task.
+    uint32_t place;       ///< The block that the task changes.
+    uint32_t admitted;    ///< 1: the closing arc is admitted.
+    uint32_t parity;      ///< 0 or 1 in turn: which of arc and noise_arc is that of the open arc.
+    uint32_t reserved;
     uint32_t closing_cycles;                ///< Instants of the closing arc, accepted or not.
     double target;                          ///< Instants up to which blocks are merged.
     double noise_fade;                      ///< Factor of noise_closed.
     uint64_t checksum;                      ///< Of count, target and noise_fade.
     double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, with the weight of its turn (momentum.h).
     double rotor[ZYGOS_MAX_JOINTS];         ///< Contribution of the rotors' rates in one instant.
-    zygos_momentum_gram_t noise_open;       ///< Noise of the open arc, not yet subtracted, without the rotors.
+    zygos_momentum_gram_t noise_arc[2];     ///< Noise of the open and of the closing arc, not yet subtracted. That of
+                                            ///< the open one is without the rotors.
     zygos_momentum_gram_t noise_closed;     ///< Noise of closed arcs; reduced in proportion when one is dropped.
-    zygos_momentum_gram_t noise_closing;    ///< Noise of the closing arc.
     zygos_gram_scan_t scan;                 ///< Row sums of what is verified.
-    zygos_momentum_block_t open;
-    zygos_momentum_block_t closing;
+    zygos_momentum_block_t arc[2];          ///< The open arc and the closing one, which is 0 where none is closing.
     zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES];
 } zygos_momentum_sums_t;
 
@@ -114,8 +121,8 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
 bool zygos_momentum_sums_is_short(const zygos_momentum_sums_t *self);
 
 /// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and
-/// then false is returned. Needs that no task is open, or that the arc is too short. Cost: one pass over the sums of an
-/// arc, which are copied.
+/// then false is returned. Needs that no task is open, or that the arc is too short. Cost: a few instructions; of an
+/// arc that is too short, one pass over its sums.
 bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Proceeds with the task. ZYGOS_MOMENTUM_JUDGE is that of the caller, who ends it by the next function: this one does
@@ -144,8 +151,8 @@ void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor);
 /// pass over the blocks of which the factor is not 1.
 void zygos_momentum_sums_apply_fade(zygos_momentum_sums_t *self);
 
-/// Drops the open arc, the closing one, and the blocks with cycles after the given one. Needs finished tasks, but for
-/// those of the closing arc. Cost: one pass over the sums of two arcs.
+/// Drops the open arc, and the closing one and the blocks with cycles after the given one. Cost: one pass over the sums
+/// of two arcs.
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Drops the blocks up to the given cycle and their share of the noise, and returns their number.

@@ -116,7 +116,7 @@ CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {
     "noise": (changed("accumulator.noise_closed.gram[0]", lambda x: x + 1.0), lib.ZYGOS_E_SUMS),
     "instants of the arc": (changed("accumulator.arc_instants", lambda x: x ^ 8), lib.ZYGOS_E_SUMS),
     "motor rows": (changed("motor_sums.block[0].joint[1].sum[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
-    "momentum rows": (changed("momentum_sums.open.rows.gram[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
+    "momentum rows": (changed("momentum_sums.arc[0].rows.gram[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
 }
 
 

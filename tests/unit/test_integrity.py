@@ -245,12 +245,13 @@ def _motor_turns(sums: Any, off: float) -> None:
 
 def _momentum_counted(sums: Any, off: float) -> None:
     width = sums.columns + 1
-    sums.open.rows.gram[width * (width + 1) // 2 - 1] += off
-    sums.open.rows.sum[width - 1] += off
+    rows = sums.arc[sums.parity].rows
+    rows.gram[width * (width + 1) // 2 - 1] += off
+    rows.sum[width - 1] += off
 
 
 def _momentum_sum(sums: Any, off: float) -> None:
-    sums.open.rows.gram[4] += off
+    sums.arc[sums.parity].rows.gram[4] += off
 
 
 DAMAGE = (

@@ -195,9 +195,9 @@ def test_corrupt_sums_are_refused(where: str) -> None:
     flight.cycles(wandering(arm, 290))
     sums = sums_of(flight)
     rows = {
-        "open": sums.open.rows,
+        "open": sums.arc[sums.parity].rows,
         "block": sums.block[1].rows,
-        "noise_open": sums.noise_open,
+        "noise_open": sums.noise_arc[sums.parity],
         "noise_closed": sums.noise_closed,
     }[where]
     assert lib.zygos_momentum_sums_check(sums) <= 1.0
@@ -212,7 +212,7 @@ def test_a_corrupt_arc_is_dropped_when_it_closes() -> None:
     flight = Flight(arm)
     flight.cycles(part(cycles, 0, 40))
     sums = sums_of(flight)
-    sums.noise_open.gram[4] *= 1.5
+    sums.noise_arc[sums.parity].gram[4] *= 1.5
     flight.cycles(part(cycles, 40, 290))
     assert sums.count > 3
     assert sums.quarantined == 1
