@@ -518,6 +518,7 @@ ENTRIES = (
         positive=False,
         twins=("base_torque",),
         searched=False,
+        searched_last=True,
         shapes=_grid(1.0, 300.0, 12),
         shape_title="onset since the start of the run",
         shape_unit="s",
