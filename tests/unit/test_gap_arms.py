@@ -12,43 +12,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gap_arms_support import SECONDS, begun, standing
 from scipy.stats import binom
 
-from oracles.arms import Plant, Trial, pendulum, spatial
+from oracles.arms import Plant, spatial
 from oracles.hidden import Law, LinkViscous, MotorCoulomb
-from zygos.arm import Smoother
 from zygos.can.run import Run
 from zygos.dynamics.equations import from_model, parameters
 from zygos.effects import CATALOGUE, columns_at
-from zygos.gap.balances import Acting, Layout, thinning, zero_columns
+from zygos.gap.balances import Acting, thinning, zero_columns
 from zygos.gap.fit import fit, shares_of_pairs
 from zygos.gap.forecast import cut, cut_twin, forecast
 from zygos.gap.null import FALSE_ALARMS, FLOOR, chance, null_scores, null_sigmas
 from zygos.gap.record import MeasuredRun
 from zygos.gap.runs import record_of
-from zygos.gap.study import Study, again, base_values, begin, read_hypothesis
+from zygos.gap.study import Study, again, base_values
 from zygos.gap.torques import torque_noise
 from zygos.gap.twin import draws, follow
-from zygos.model.model import Quantity
-from zygos.simulation.scenario import Controller
-
-SECONDS = 16.0
-
-
-@cache
-def standing() -> Trial:
-    """Two flexible joints in a vertical plane on the ground."""
-    trial = pendulum()
-    joints = tuple(replace(joint, flexible=True, gear_ratio=50.0) for joint in trial.arm.joints)
-    arm = replace(trial.arm, joints=joints, torque_law="applied_from_sync", smoother=Smoother(13, 4, 6), arc_max_s=8.0)
-    drives = tuple(
-        replace(one, rotor_inertia=Quantity(1e-4), stiffness=Quantity(500.0), damping=Quantity(2.0))
-        for one in trial.drawn.joints
-    )
-    controller = Controller(kp=60.0, kd=12.0)
-    a, b, c = (replace(one, controller=controller) for one in trial.scenarios)
-    return Trial(arm, replace(trial.drawn, joints=drives), (a, b, c), True)
-
 
 TRIALS = {"spatial": spatial, "standing": standing}
 LAWS: dict[str, type[Law]] = {"motor_coulomb2": MotorCoulomb, "link_viscous2": LinkViscous}
@@ -63,14 +43,6 @@ def records(name: str, hidden: str, value: float) -> tuple[MeasuredRun, ...]:
     plant = Plant(trial, replace(trial.drawn, effects=()), laws)
     runs = [Run(trial.arm, table=plant.run(which, 3, SECONDS)[0], path=Path("abc"[which])) for which in (0, 1)]
     return tuple(record_of(run) for run in runs)
-
-
-def begun(trial: Trial, runs: tuple[MeasuredRun, ...], own: tuple[Acting, ...]) -> Study:
-    """The true model's equations, without effects, fitted to runs, with columns of these entries in any case."""
-    model = replace(trial.drawn, effects=())
-    hypothesis = read_hypothesis(Layout(trial.arm), model)
-    wide = replace(hypothesis, layout=replace(hypothesis.layout, own=own))
-    return begin(runs, wide, from_model(trial.arm, model))
 
 
 @cache

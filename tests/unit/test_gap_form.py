@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_gap_arms import SECONDS, begun, standing
+from gap_arms_support import SECONDS, begun, standing
 
 from oracles.arms import Plant, pendulum
 from oracles.hidden import Law, MotorCoulomb, TanhCoulomb
