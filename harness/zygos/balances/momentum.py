@@ -62,8 +62,8 @@ def momentum_columns(arm: Arm, state: State, places: Posture | None = None, atti
         return np.concatenate([planar_columns(arm, state, np.add), spin], axis=-1)[..., None, :]
     places = posture(arm, state.q) if places is None else places
     rate = crossed(body_rates(state.base, places.axis, state.qd)[..., places.body, :], places.direction)
-    # the vectors are turned, which are fewer than the columns; whole rows of one component and direction are copied many
-    # times faster than entries
+    # the vectors are turned, which are fewer than the columns; whole rows of one component and direction are copied
+    # many times faster than entries
     directions, rates, axes = (_turned(by_component(x), attitude) for x in (places.direction, rate, places.axis))
     first, second = np.triu_indices(len(places.body))
     apart = first != second

@@ -482,8 +482,8 @@ class _Moving:
 
     @cached_property
     def momentum(self) -> Array:
-        """Columns (..., A, m, r, K + N) as `momentum.momentum_columns`, at the instants of the rows, in space in the axes
-        of the arc's origin."""
+        """Columns (..., A, m, r, K + N) as `momentum.momentum_columns`, at the instants of the rows; in space in the
+        axes of the arc's origin."""
         attitude = self.attitude if self.arm.spatial else None
         return momentum.momentum_columns(self.arm, self.thin, self.postures, attitude)
 
