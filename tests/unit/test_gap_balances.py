@@ -22,7 +22,7 @@ from zygos.balances.quadrature import integral
 from zygos.balances.readings import Readings
 from zygos.effects import CATALOGUE, Effect, column_name
 from zygos.gap import balances
-from zygos.gap.balances import Layout, balance_rows
+from zygos.gap.balances import Layout, balance_rows, zero_columns
 from zygos.gap.record import followed, smoothed_states
 from zygos.native.flight import config_of
 
@@ -205,6 +205,25 @@ def test_columns_of_zeros_are_what_the_closed_form_says(joint: int) -> None:
             print(name, balance, float(rms(got - want)), float(rms(want)))
             assert rms(centred(got - want)) <= 1e-5 * rms(want) + 1e-5
             assert balance != "H" or rms(got - want) <= 1e-5 * rms(want) + 1e-5
+
+
+def test_columns_of_errors_that_are_known_are_not_computed_again() -> None:
+    arm, model, _ = example()
+    plain, base, known = exact(moved("b", DURATION_S)), model.base_values(arm), {}
+    first = zero_columns(Layout(arm), plain, base, known=known)
+    usual = list(Layout(arm).zeros)
+    assert list(known) == usual
+    # another layout of the same arm has more of them
+    wide = Layout(arm, wide=True)
+    more = zero_columns(wide, plain, base, known=known)
+    listed = [*(one.name for one in wide.sensors), *usual]
+    assert set(known) == set(listed)
+    assert len(listed) > len(usual)
+    for few, all_of_them, again in zip(first, more, zero_columns(wide, plain, base), strict=True):
+        np.testing.assert_array_equal(all_of_them, again)
+        np.testing.assert_array_equal(all_of_them[..., len(listed) - len(usual) :], few)
+    known[usual[0]] = [7.0 + 0.0 * own for own in known[usual[0]]]
+    assert all(np.all(own[..., 0] == 7.0) for own in zero_columns(Layout(arm), plain, base, known=known))
 
 
 @pytest.mark.parametrize(("key", "joint"), [(k, i) for k, i in PLACES if "coulomb" in k or "viscous" in k])

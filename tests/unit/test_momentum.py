@@ -42,6 +42,18 @@ def test_columns_give_the_momentum_of_bodies(kinetic: str, flexible: tuple[bool,
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.linalg.norm(h))
 
 
+def test_columns_are_stated_in_other_axes() -> None:
+    arm, _ = random_arm(11, 3, "free", "spatial", (True, False, True))
+    rng = np.random.default_rng(3)
+    samples = [random_state(rng, arm) for _ in range(4)]
+    parts = [np.stack([getattr(one, name) for one in samples]) for name in ("q", "theta", "qd", "thetad", "omega0")]
+    attitude = Rotation.random(4, random_state=4).as_matrix()
+    plain = momentum.momentum_columns(arm, State(*parts))
+    turned = momentum.momentum_columns(arm, State(*parts), attitude=attitude)
+    np.testing.assert_allclose(turned, attitude @ plain, rtol=0, atol=1e-13 * np.abs(plain).max())
+    assert np.abs(turned - plain).max() > 0.1 * np.abs(plain).max()
+
+
 @pytest.mark.parametrize(("name", "share"), [("lively", 1e-4), ("lively 10 ms", 1e-5), ("spatial", 1e-4)])
 def test_rows_close_on_simulated_motion(name: str, share: float) -> None:
     """What the true parameters leave over is a small share of what the base alone contributes."""

@@ -19,7 +19,7 @@ from zygos.balances.state import State
 from zygos.dynamics.compiled import Multibody, Planar, Stepper
 from zygos.dynamics.engines import engine
 from zygos.dynamics.equations import equations, from_model
-from zygos.dynamics.joints import Drives
+from zygos.dynamics.joints import Drives, Moment
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import replay
 from zygos.dynamics.serial import SpatialDynamics
@@ -131,6 +131,37 @@ SIZES = {"motor_coulomb": 0.02, "motor_viscous": 0.01, "link_viscous": 0.1, "loa
          "cubic_stiffness": 1e7, "backlash": 50.0, "viscous_asymmetry": 0.01, "motor_stribeck": 0.02}  # fmt: skip
 
 
+ONSET_S = 0.50102
+"""Seconds after which a torque on the base begins: at the second of three states within the steps below, and of a
+step."""
+
+
+@pytest.mark.parametrize("kind", FLEXIBLE)
+@pytest.mark.parametrize("kinetic", ["planar", "spatial"])
+def test_torques_on_the_base_act_as_in_numpy(kinetic: str, kind: str) -> None:
+    flexible = [FLEXIBLE[kind][i % 2] for i in range(3)]
+    arm, model = random_arm(3, 3, "free", kinetic, flexible)  # type: ignore[arg-type]
+    rng = np.random.default_rng(1)
+    samples = [random_state(rng, arm) for _ in range(3)]
+    pushed = [Effect(CATALOGUE["base_leak"], None, 40.0, shape=2.0, component=c) for c in arm_axes(arm)]
+    loaded = replace(model, effects=(*pushed, Effect(CATALOGUE["motor_viscous"], arm.joints[0].name, 0.01)))
+    numpys = (SpatialDynamics if arm.spatial else PlanarDynamics).from_model(arm, loaded)
+    ours = from_model(arm, loaded)
+    assert isinstance(ours, Multibody | Planar)
+    for sample in samples:
+        state = sample if arm.spatial else sample._replace(omega0=sample.omega0[..., 2])
+        together = zip(ours.accelerations(*state, Moment(3.0)), numpys.accelerations(*state, Moment(3.0)), strict=True)
+        for got, wanted in together:
+            np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+        before, after = (ours.accelerations(*state, Moment(at))[0] for at in (1.0, 3.0))
+        assert np.all(np.abs(after - before) > 1e-3)
+
+
+def arm_axes(arm: Arm) -> tuple[str, ...]:
+    """The components of a torque on the base."""
+    return CATALOGUE["base_leak"].components(arm)
+
+
 @pytest.mark.parametrize("kind", FLEXIBLE)
 @pytest.mark.parametrize(("base", "kinetic"), [("free", "planar"), ("free", "spatial"), ("fixed", "planar")])
 def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,6 +173,12 @@ def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, m
     acting: list[tuple[Effect, ...]] = [()]
     for one in entries:
         shape = one.shapes[-1] if one.shapes else None
+        if one.place == "base":
+            # an onset within the steps
+            shape = ONSET_S if one.key == "base_leak" else shape
+            if arm.free and one.world != ("space" if kinetic == "planar" else "plane"):
+                acting.append((Effect(one, None, 50.0, shape=shape, component=one.components(arm)[-1]),))
+            continue
         if arm.joints[1].flexible or one.place != "spring":
             acting.append((Effect(one, joint, SIZES.get(one.key, 0.2), shape=shape),))
     samples, width = [random_state(rng, arm) for _ in range(3)], 3 if kinetic == "spatial" else 1
@@ -159,7 +196,8 @@ def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, m
         def moved(
             dynamics: Drives = dynamics, packed: list[np.ndarray] = packed, tau: np.ndarray = torque
         ) -> np.ndarray:
-            return replay(dynamics, 1e-4, np.stack(packed), lambda _k, _now: tau, tau, 20, 2)[0]
+            begin = Moment(np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.4, 0.8]))
+            return replay(dynamics, 1e-4, np.stack(packed), lambda _k, _now: tau, tau, 20, 2, begin)[0]
 
         quick = moved()
         assert Stepper.of(dynamics) is not None
@@ -177,7 +215,7 @@ def test_steps_of_what_is_not_compiled_are_left_to_python() -> None:
     arm, model = random_arm(2, 2, "free", "planar", [True, True])
     joint = arm.joints[0].name
     base, lasting = (
-        Effect(CATALOGUE["base_torque"], None, 0.1),
+        Effect(CATALOGUE["base_oscillator"], None, 0.1, shape=1.0),
         Effect(CATALOGUE["motor_dahl"], joint, 0.02, shape=1e-3),
     )
     for one in (base, lasting, Effect(OWN, joint, 0.7)):
@@ -212,7 +250,8 @@ def test_memory_is_what_it_says(joints: int, base: str) -> None:
     arm, model, samples = arm_of(joints, base, "spatial", "mixed")
     dynamics = Multibody.from_model(arm, model)
     native, room, _ = dynamics.compiled
-    state = np.concatenate([samples[0].omega0, samples[0].q, samples[0].qd, samples[0].thetad, *np.ones((3, joints))])
+    rates = (samples[0].omega0, samples[0].q, samples[0].qd, samples[0].thetad)
+    state = np.concatenate([*rates, *np.ones((3, joints)), np.ones(3)])
     results = []
     for filling in (np.nan, 7.0):
         scratch, result = np.full(room + 50, filling), np.full(3 + 2 * joints + 50, filling)
@@ -223,8 +262,10 @@ def test_memory_is_what_it_says(joints: int, base: str) -> None:
         moved = np.concatenate([state[: 3 + 4 * joints], np.full(50, filling)])
         spring, torque = (ffi.from_buffer("double[]", np.ones(count)) for count in (2 * joints, joints))
         place = ffi.from_buffer("double[]", moved)
-        lib.zygos_multibody_advance(native, 1, 3, spring, ffi.NULL, 0, torque, 1e-4, 2, place, views[2])
-        for array, used in ((scratch, room), (moved, 3 + 4 * joints)):
+        clock = np.concatenate([np.zeros(2), np.full(50, filling)])
+        times = ffi.from_buffer("double[]", clock)
+        lib.zygos_multibody_advance(native, 1, 3, spring, ffi.NULL, 0, torque, 1e-4, 2, place, times, views[2])
+        for array, used in ((scratch, room), (moved, 3 + 4 * joints), (clock, 2)):
             np.testing.assert_array_equal(array[used:], filling)
         if base == "free":
             assert scratch[room - 1] != filling

@@ -18,7 +18,7 @@ uint64_t zygos_multibody_scratch(uint32_t joints)
     const uint64_t unknowns = SPACE + joints;
     const uint64_t state = SPACE + 4u * (uint64_t)joints;
     return MATRIX * bodies * bodies + SPACE * (directions + 4u * bodies) + MATRIX * bodies +
-           unknowns * (unknowns + 1u) + 3u * (state + joints);
+           unknowns * (unknowns + 1u) + 3u * (state + joints + 1u);
 }
 
 static double dot(const double a[3], const double b[3])
@@ -244,7 +244,7 @@ static void sum_outward(uint32_t bodies, const state_t *s)
 
 // The inertia matrix with respect to u, and what drives it.
 static void project(const zygos_multibody_t *self, const double *spring, const double *drive, const double *link,
-                    const state_t *s)
+                    const double *push, const state_t *s)
 {
     const uint32_t bodies = self->joints + 1u;
     const uint32_t base = self->floating ? SPACE : 0u;
@@ -253,7 +253,7 @@ static void project(const zygos_multibody_t *self, const double *spring, const d
         for (uint32_t column = 0; column < base; column++) {
             s->mass[row * unknowns + column] = s->pair[SPACE * row + column];
         }
-        s->right[row] = -s->load[row];
+        s->right[row] = push[row] - s->load[row];
     }
     for (uint32_t k = 1; k < bodies; k++) {
         const uint32_t column = base + k - 1u;
@@ -329,7 +329,7 @@ static void solve(uint32_t unknowns, double *mass, double *right)
 // Accelerations of base, links and motors in one state.
 static void accelerate(const zygos_multibody_t *self, const double *base_rate, const double *q, const double *rate,
                        const double *motor_rate, const double *spring, const double *drive, const double *link,
-                       const state_t *s, double *base_out, double *link_out, double *motor_out)
+                       const double *push, const state_t *s, double *base_out, double *link_out, double *motor_out)
 {
     const uint32_t joints = self->joints;
     const uint32_t base = self->floating ? SPACE : 0u;
@@ -337,7 +337,7 @@ static void accelerate(const zygos_multibody_t *self, const double *base_rate, c
     gather(self, s);
     push_off(self, motor_rate, spring, drive, rate, s);
     sum_outward(joints + 1u, s);
-    project(self, spring, drive, link, s);
+    project(self, spring, drive, link, push, s);
     solve(base + joints, s->mass, s->right);
 
     double carrier[3] = { 0.0, 0.0, 0.0 }; // acceleration of the carrying body
@@ -364,18 +364,18 @@ void zygos_multibody_accelerations(const zygos_multibody_t *self, uint64_t n, co
     const uint32_t joints = self->joints;
     const state_t s = carve(joints, scratch);
     for (uint64_t at = 0; at < n; at++) {
-        const double *const base_rate = &in[at * (SPACE + 6u * joints)];
+        const double *const base_rate = &in[at * (2u * SPACE + 6u * joints)];
         const double *const q = base_rate + SPACE;
         double *const base_out = &out[at * (SPACE + 2u * joints)];
         accelerate(self, base_rate, q, q + joints, q + 2u * joints, q + 3u * joints, q + 4u * joints, q + 5u * joints,
-                   &s, base_out, base_out + SPACE, base_out + SPACE + joints);
+                   q + 6u * joints, &s, base_out, base_out + SPACE, base_out + SPACE + joints);
     }
 }
 
 // The closed form: Lagrange equations in the absolute angles of bodies whose axes are parallel.
 static void accelerate_in_plane(const zygos_multibody_t *self, double base_rate, const double *q, const double *rate,
-                                const double *spring, const double *drive, const double *link, double *scratch,
-                                double *base_out, double *link_out, double *motor_out)
+                                const double *spring, const double *drive, const double *link, double push,
+                                double *scratch, double *base_out, double *link_out, double *motor_out)
 {
     const uint32_t joints = self->joints;
     const uint32_t bodies = joints + 1u;
@@ -408,6 +408,7 @@ static void accelerate_in_plane(const zygos_multibody_t *self, double base_rate,
             right[i] -= (b[at] * along - a[at] * across) * square[j];
         }
     }
+    right[0] += push;
     for (uint32_t i = 0; i < joints; i++) {
         const double through = self->rigid[i] ? self->ratio[i] * drive[i] : spring[i];
         const double pushed = self->rigid[i] ? 0.0 : self->coupling[i] * (drive[i] - spring[i] / self->ratio[i]);
@@ -428,7 +429,7 @@ static void accelerate_in_plane(const zygos_multibody_t *self, double base_rate,
 
 // Time derivative of a packed state.
 static void derive(const zygos_multibody_t *self, uint32_t width, const double *state, const double *spring,
-                   const double *drive, const double *link, double *scratch, double *out)
+                   const double *drive, const double *link, const double *push, double *scratch, double *out)
 {
     const uint32_t joints = self->joints;
     const double *const q = state + width;
@@ -436,7 +437,8 @@ static void derive(const zygos_multibody_t *self, uint32_t width, const double *
     double *const out_rate = out + width + 2u * joints;
     memcpy(out + width, rate, 2u * joints * sizeof rate[0]);
     if (self->planar) {
-        accelerate_in_plane(self, state[0], q, rate, spring, drive, link, scratch, out, out_rate, out_rate + joints);
+        accelerate_in_plane(self, state[0], q, rate, spring, drive, link, push[0], scratch, out, out_rate,
+                            out_rate + joints);
         return;
     }
     const state_t s = carve(joints, scratch);
@@ -445,7 +447,8 @@ static void derive(const zygos_multibody_t *self, uint32_t width, const double *
     if (self->floating) {
         memcpy(base_rate, state, width * sizeof base_rate[0]);
     }
-    accelerate(self, base_rate, q, rate, rate + joints, spring, drive, link, &s, base_out, out_rate, out_rate + joints);
+    accelerate(self, base_rate, q, rate, rate + joints, spring, drive, link, push, &s, base_out, out_rate,
+               out_rate + joints);
     memcpy(out, base_out, width * sizeof base_out[0]);
 }
 
@@ -455,8 +458,9 @@ void zygos_multibody_rates(const zygos_multibody_t *self, uint64_t n, uint32_t w
     const uint32_t joints = self->joints;
     const uint32_t size = width + 4u * joints;
     for (uint64_t at = 0; at < n; at++) {
-        const double *const spring = &force[3u * joints * at];
-        derive(self, width, &state[at * size], spring, spring + joints, spring + 2u * joints, scratch, &out[at * size]);
+        const double *const spring = &force[(3u * joints + width) * at];
+        derive(self, width, &state[at * size], spring, spring + joints, spring + 2u * joints, spring + 3u * joints,
+               scratch, &out[at * size]);
     }
 }
 
@@ -465,7 +469,7 @@ static double within(double x, double limit)
     return fmin(fmax(x, -limit), limit);
 }
 
-// Torque of a law per unit coefficient.
+// Torque of a law at a joint per unit coefficient.
 static double torque_of(const zygos_multibody_law_t *law, double rate, double angle, double bent, double reported,
                         double load)
 {
@@ -495,9 +499,25 @@ static double torque_of(const zygos_multibody_law_t *law, double rate, double an
     }
 }
 
-// Torques of springs on links, on rotors, and on links besides. force: 3N. q: the angles and rates of a packed state.
+// Torque of a law on the base per unit coefficient.
+static double torque_on_base(const zygos_multibody_law_t *law, double time, double angle)
+{
+    switch (law->form) {
+    case ZYGOS_LAW_SINCE:
+        return (time >= law->shape) ? 1.0 : 0.0;
+    case ZYGOS_LAW_SINE:
+        return sin(law->shape * angle);
+    case ZYGOS_LAW_COSINE:
+        return cos(law->shape * angle);
+    default:
+        return 1.0;
+    }
+}
+
+// Torques of springs on links, on rotors, on links besides, and on the base. force: 3N + 3. q: the angles and rates of
+// a packed state.
 static void act(const zygos_multibody_t *self, const double *spring, const zygos_multibody_law_t *laws, uint32_t count,
-                const double *torque, const double *q, double *force)
+                const double *torque, const double *q, double time, double angle_of_base, double *force)
 {
     const uint32_t n = self->joints;
     double *const drive = force + n;
@@ -507,9 +527,15 @@ static void act(const zygos_multibody_t *self, const double *spring, const zygos
         drive[i] = torque[i];
         link[i] = 0.0;
     }
+    double *const push = link + n;
+    memset(push, 0, SPACE * sizeof push[0]);
     for (uint32_t k = 0; k < count; k++) {
         const zygos_multibody_law_t *const law = &laws[k];
         const uint32_t i = law->joint;
+        if (law->site == ZYGOS_SITE_BASE) {
+            push[i] += law->value * torque_on_base(law, time, angle_of_base);
+            continue;
+        }
         const double bent = q[n + i] - q[i];
         const double ratio = self->ratio[i];
         double rate = q[3u * n + i];
@@ -539,7 +565,7 @@ static void act(const zygos_multibody_t *self, const double *spring, const zygos
 
 void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *spring,
                              const zygos_multibody_law_t *laws, uint32_t count, const double *torque, double step_s,
-                             uint64_t steps, double *state, double *scratch)
+                             uint64_t steps, double *state, double *clock, double *scratch)
 {
     static const double SHARE[4] = { 0.0, 0.5, 0.5, 1.0 };
     static const double WEIGHT[4] = { 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0 };
@@ -548,23 +574,32 @@ void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t
     double *const rate = take(&scratch, size);
     double *const at = take(&scratch, size);
     double *const sum = take(&scratch, size);
-    double *const force = take(&scratch, 3u * (uint64_t)joints);
+    double *const force = take(&scratch, 3u * (uint64_t)joints + SPACE);
     for (uint64_t piece = 0; piece < n; piece++) {
         double *const x = &state[piece * size];
+        double *const time = &clock[2u * piece];
+        double *const angle = time + 1;
         for (uint64_t k = 0; k < steps; k++) {
             memset(rate, 0, size * sizeof rate[0]);
             memcpy(sum, x, size * sizeof sum[0]);
+            double turning = 0.0; // rate at which the base turns in the stage before
+            double turned = *angle;
             for (uint32_t stage = 0; stage < 4u; stage++) {
                 for (uint32_t i = 0; i < size; i++) {
                     at[i] = x[i] + SHARE[stage] * step_s * rate[i];
                 }
-                act(self, spring, laws, count, &torque[piece * joints], at + width, force);
-                derive(self, width, at, force, force + joints, force + 2u * joints, scratch, rate);
+                act(self, spring, laws, count, &torque[piece * joints], at + width, *time + SHARE[stage] * step_s,
+                    *angle + SHARE[stage] * step_s * turning, force);
+                derive(self, width, at, force, force + joints, force + 2u * joints, force + 3u * joints, scratch, rate);
+                turning = self->planar ? at[0] : 0.0;
+                turned += WEIGHT[stage] * step_s * turning;
                 for (uint32_t i = 0; i < size; i++) {
                     sum[i] += WEIGHT[stage] * step_s * rate[i];
                 }
             }
             memcpy(x, sum, size * sizeof x[0]);
+            *time += step_s;
+            *angle = turned;
         }
     }
 }

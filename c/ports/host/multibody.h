@@ -9,7 +9,8 @@
 #endif
 
 /// Forms of a torque law, per unit coefficient, of the rate and the angle x of its side (link, motor after the gear, or
-/// motor less link at a spring), with s = shape and w = width.
+/// motor less link at a spring), with s = shape and w = width. On the base n is 1 and x the angle that it has turned in
+/// its plane since the start of the run, and there are the forms ONE, SINCE, SINE and COSINE only.
 enum {
     ZYGOS_LAW_ONE,      ///< 1
     ZYGOS_LAW_RATE,     ///< rate
@@ -22,6 +23,7 @@ enum {
     ZYGOS_LAW_GAP,      ///< -(motor angle - link angle), within -s .. s
     ZYGOS_LAW_SINE,     ///< sin(s n x), n the gear ratio
     ZYGOS_LAW_COSINE,   ///< cos(s n x)
+    ZYGOS_LAW_SINCE,    ///< 1 from s seconds after the start of the run on, 0 before; on the base only
 };
 
 /// Where a law acts.
@@ -31,11 +33,12 @@ enum {
     ZYGOS_SITE_SPRING, ///< beside the spring, on the link; not at a rigid joint
     ZYGOS_SITE_LOAD,   ///< against the motor, as a torque after the gear; behind all others of its joint
     ZYGOS_SITE_TORQUE, ///< with the motor, before the gear
+    ZYGOS_SITE_BASE,   ///< on the base
 };
 
-/// One law at a joint.
+/// One law at a joint or on the base.
 typedef struct {
-    uint32_t joint; ///< From 0.
+    uint32_t joint; ///< From 0; on the base the base axis, 0 of a planar arm.
     uint32_t site;  ///< ZYGOS_SITE_...
     uint32_t form;  ///< ZYGOS_LAW_...
     uint32_t unused;
@@ -71,27 +74,30 @@ typedef struct {
 /// Doubles of memory that each of the calls below works in, for an arm of that many joints.
 uint64_t zygos_multibody_scratch(uint32_t joints);
 
-/// Accelerations in n states, each on its own. in: n x (3 + 6N): base rate in base axes [rad/s], zero where it is
+/// Accelerations in n states, each on its own. in: n x (6 + 6N): base rate in base axes [rad/s], zero where it is
 /// fixed; q [rad]; link rates, motor rates [rad/s]; torque of the springs on the links, not read at a rigid joint;
-/// torque on the rotors before the gear; torque on the links besides that of the springs [Nm]. out: n x (3 + 2N):
-/// accelerations of base, links and motors [rad/s^2]; not finite where no inertia resists. scratch:
-/// zygos_multibody_scratch() doubles that no other call uses meanwhile. Cost: of the order of N^2 products of vectors.
+/// torque on the rotors before the gear; torque on the links besides that of the springs; torque on the base in base
+/// axes, not read where it is fixed [Nm]. out: n x (3 + 2N): accelerations of base, links and motors [rad/s^2]; not
+/// finite where no inertia resists. scratch: zygos_multibody_scratch() doubles that no other call uses meanwhile.
+/// Cost: of the order of N^2 products of vectors.
 void zygos_multibody_accelerations(const zygos_multibody_t *self, uint64_t n, const double *in, double *out,
                                    double *scratch);
 
 /// Time derivatives of n states of width + 4N doubles: base rate [rad/s], q, motor angles [rad], link rates, motor
 /// rates [rad/s]. width: 3 in base axes; 1 of the closed form; 0 for none, of a fixed base only.
-/// force: n x 3N: torque of the springs on the links, torque on the rotors before the gear, torque on the links besides
-/// that of the springs [Nm]. out: as the states. scratch and cost: as zygos_multibody_accelerations().
+/// force: n x (3N + width): torque of the springs on the links, torque on the rotors before the gear, torque on the
+/// links besides that of the springs, torque on the base [Nm]. out: as the states. scratch and cost: as
+/// zygos_multibody_accelerations().
 void zygos_multibody_rates(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *state,
                            const double *force, double *out, double *scratch);
 
 /// Integrates n states, as of zygos_multibody_rates(), by that many RK4 steps of step_s seconds under torques on the
 /// rotors, n x N before the gear [Nm], that stay constant. spring: stiffness [Nm/rad], then damping [Nms/rad] of the N
-/// joints, after the gear; 0 of a rigid one. laws: count laws at joints. Changes state. scratch: as above. Cost: 4 n
-/// steps times that of a state.
+/// joints, after the gear; 0 of a rigid one. laws: count laws at joints and on the base. clock: n x 2: time since the
+/// start of the run [s], and the angle [rad] that the base has turned since then in its plane, which stays as it is of
+/// an arm in space. Changes state and clock. scratch: as above. Cost: 4 n steps times that of a state.
 void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *spring,
                              const zygos_multibody_law_t *laws, uint32_t count, const double *torque, double step_s,
-                             uint64_t steps, double *state, double *scratch);
+                             uint64_t steps, double *state, double *clock, double *scratch);
 
 #endif

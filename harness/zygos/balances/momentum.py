@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
-from zygos.balances.kinematics import Posture, body_rates, crossed, planar_columns, posture
+from zygos.balances.kinematics import Posture, body_rates, by_component, crossed, planar_columns, posture
 from zygos.balances.quadrature import step_integrals
 from zygos.balances.state import State
 from zygos.runs.samples import Samples
@@ -50,28 +50,39 @@ class Turns:
     noise: Floats
 
 
-def momentum_columns(arm: Arm, state: State, places: Posture | None = None) -> Floats:
+def momentum_columns(arm: Arm, state: State, places: Posture | None = None, attitude: Floats | None = None) -> Floats:
     """Columns (..., r, K + N) of the K kinetic parameters and of Im_1 .. Im_N in base axes; r is 3 in space, else 1.
 
     Of N_ab: rho_a x v_b, and rho_b x v_a where a and b differ; of Im_i: n thetad times the axis. In a plane the first
-    are `planar_columns` of the sums of two rates. places: the posture, where it is known.
+    are `planar_columns` of the sums of two rates. places: the posture, where it is known. attitude: (..., 3, 3) from
+    base axes to those in which the columns are stated instead, in space.
     """
     spin = arm.gear_ratios * state.thetad
     if not arm.spatial:
         return np.concatenate([planar_columns(arm, state, np.add), spin], axis=-1)[..., None, :]
     places = posture(arm, state.q) if places is None else places
     rate = crossed(body_rates(state.base, places.axis, state.qd)[..., places.body, :], places.direction)
-    direction = places.direction
+    # the vectors are turned, which are fewer than the columns; whole rows of one component and direction are copied
+    # many times faster than entries
+    directions, rates, axes = (_turned(by_component(x), attitude) for x in (places.direction, rate, places.axis))
     first, second = np.triu_indices(len(places.body))
-    both = (first != second).astype(np.float64)
+    apart = first != second
     out = np.empty((*state.q.shape[:-1], 3, len(first) + arm.n))
     for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        (x, y), (vx, vy) = ((part[..., i], part[..., j]) for part in (direction, rate))
-        own = x[..., first] * vy[..., second] - y[..., first] * vx[..., second]
-        own += both * (x[..., second] * vy[..., first] - y[..., second] * vx[..., first])
-        out[..., k, : len(first)] = own
-    out[..., len(first) :] = np.swapaxes(spin[..., None] * places.axis, -1, -2)
+        x, y, vx, vy = directions[i], directions[j], rates[i], rates[j]
+        own = x[first] * vy[second] - y[first] * vx[second]
+        own[apart] += x[second[apart]] * vy[first[apart]] - y[second[apart]] * vx[first[apart]]
+        out[..., k, : len(first)] = np.moveaxis(own, 0, -1)
+        out[..., k, len(first) :] = np.moveaxis(axes[k], 0, -1) * spin
     return out
+
+
+def _turned(vectors: Floats, attitude: Floats | None) -> Floats:
+    """(3, V, ...) vectors in other axes; attitude: (..., 3, 3)."""
+    if attitude is None:
+        return vectors
+    turn = np.moveaxis(attitude, (-2, -1), (0, 1))
+    return np.stack([row[0] * vectors[0] + row[1] * vectors[1] + row[2] * vectors[2] for row in turn])
 
 
 def base_attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:

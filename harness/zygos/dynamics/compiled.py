@@ -82,17 +82,19 @@ class Planar(PlanarDynamics):
         tau: Array,
         moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
-        """As `PlanarDynamics.accelerations`, which computes them where a torque acts on the base."""
-        if self.base_laws or self.later is not None:
+        """As `PlanarDynamics.accelerations`, which computes them of an arm whose bodies change."""
+        if self.later is not None:
             return super().accelerations(q, theta, omega0, qd, thetad, tau, moment)
         spring, motor_loss, link_loss = self.forces(q, theta, qd, thetad, tau, moment)
         n, batch = self.n, q.shape[:-1]
-        state, force = np.empty((*batch, 1 + 4 * n)), np.empty((*batch, 3 * n))
+        state, force = np.empty((*batch, 1 + 4 * n)), np.empty((*batch, 3 * n + 1))
         state[..., 0] = omega0
         for k, part in enumerate((q, theta, qd, thetad)):
             state[..., 1 + k * n : 1 + (k + 1) * n] = part
         for k, part in enumerate((spring, tau - motor_loss, -link_loss)):
             force[..., k * n : (k + 1) * n] = part
+        pushing = self._base_torque(q, np.asarray(omega0, dtype=np.float64), moment)
+        force[..., 3 * n] = 0.0 if pushing is None else pushing
         result = np.empty(state.shape)
         lib.zygos_multibody_rates(
             self.compiled.arm,
@@ -107,14 +109,16 @@ class Planar(PlanarDynamics):
 
 
 def _laws(dynamics: Drives) -> Any:
-    """The laws at joints, all of which the compiled code has."""
-    native = ffi.new("zygos_multibody_law_t[]", len(dynamics.laws))
-    for one, (law, _, _) in zip(native, dynamics.acting, strict=True):
+    """The laws at joints and on the base, all of which the compiled code has."""
+    laws = [*(law for law, _, _ in dynamics.acting), *dynamics.base_laws]
+    native = ffi.new("zygos_multibody_law_t[]", len(laws))
+    for one, law in zip(native, laws, strict=True):
         assert law.kind.law is not None
-        form, width = COMPILED[law.kind.law]
+        form = COMPILED[law.kind.law]
         site = getattr(lib, f"ZYGOS_SITE_{law.kind.place.upper()}")
-        one.joint, one.site, one.form = law.joint, site, getattr(lib, f"ZYGOS_LAW_{form}")
-        one.value, one.shape, one.width = law.value, law.shape, width
+        at = law.joint if law.joint >= 0 else law.component
+        one.joint, one.site, one.form = at, site, getattr(lib, f"ZYGOS_LAW_{form.name}")
+        one.value, one.shape, one.width = law.value, law.shape if form.shape is None else form.shape, form.width
     return native
 
 
@@ -132,11 +136,12 @@ class Stepper:
 
     @classmethod
     def of(cls, dynamics: Drives) -> Stepper | None:
-        """None where the compiled code does not know the arm: torques on the base, a change of bodies, laws that it
-        does not have, equations by another engine."""
-        if not isinstance(dynamics, Planar | Multibody) or dynamics.base_laws or dynamics.later is not None:
+        """None where the compiled code does not know the arm: a change of bodies, laws that it does not have, equations
+        by another engine."""
+        if not isinstance(dynamics, Planar | Multibody) or dynamics.later is not None:
             return None
-        return cls(dynamics) if all(law.kind.law in COMPILED for law in dynamics.laws) else None
+        known = all(law.kind.law in COMPILED for law in (*dynamics.laws, *dynamics.base_laws))
+        return cls(dynamics) if known else None
 
     def advance(self, state: Array, torque: Array, step_s: float, steps: int, now: Moment) -> tuple[Array, Moment]:
         """States (B, 4N+W) after so many steps under torques (B, N), Nm before the gear, that stay constant."""
@@ -144,20 +149,23 @@ class Stepper:
         width = state.shape[1] - 4 * n
         after = np.array(state, dtype=np.float64, order="C")
         held = np.ascontiguousarray(np.broadcast_to(torque, (len(state), n)))
+        clock = np.empty((len(state), 2))
+        clock[:, 0], clock[:, 1] = now.time, now.angle
         lib.zygos_multibody_advance(
             self._arm,
             len(state),
             width,
             self._spring,
             self._laws,
-            len(self._dynamics.laws),
+            len(self._laws),
             ffi.from_buffer("double[]", held),
             step_s,
             steps,
             ffi.from_buffer("double[]", after),
+            ffi.from_buffer("double[]", clock),
             self._scratch,
         )
-        return after, replace(now, time=now.time + steps * step_s)
+        return after, replace(now, time=clock[:, 0], angle=clock[:, 1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,15 +195,17 @@ class Multibody(SpatialDynamics):
         tau: Array,
         moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
-        """As `SpatialDynamics.accelerations`, which computes them where a torque acts on the base."""
-        if self.base_laws or self.later is not None:
+        """As `SpatialDynamics.accelerations`, which computes them of an arm whose bodies change."""
+        if self.later is not None:
             return super().accelerations(q, theta, omega0, qd, thetad, tau, moment)
         spring, motor_loss, link_loss = self.forces(q, theta, qd, thetad, tau, moment)
         n, batch = self.n, q.shape[:-1]
-        state = np.empty((*batch, 3 + 6 * n))
+        state = np.empty((*batch, 6 + 6 * n))
         state[..., :3] = omega0 if self.arm.free else 0.0
         for k, part in enumerate((q, qd, thetad, spring, tau - motor_loss, -link_loss)):
             state[..., 3 + k * n : 3 + (k + 1) * n] = part
+        pushing = self._base_torque(q, omega0, moment)
+        state[..., 3 + 6 * n :] = 0.0 if pushing is None or not self.arm.free else pushing
         native, size, _ = self.compiled
         result = np.empty((*batch, 3 + 2 * n))
         lib.zygos_multibody_accelerations(

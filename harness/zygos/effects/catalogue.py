@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,21 +132,37 @@ def _double_cosine(motion: Motion, _shape: float) -> Array:
     return np.asarray(np.cos(2.0 * motion.angle))
 
 
-COMPILED: Mapping[Callable[[Motion, float], Array], tuple[str, float]] = {
-    _one: ("ONE", np.nan),
-    _offset: ("ONE", np.nan),
-    _viscous: ("RATE", np.nan),
-    _viscous_size: ("SIZE", np.nan),
-    _coulomb: ("SIGN", SLOWEST_RATE),
-    _stribeck: ("STRIBECK", SLOWEST_RATE),
-    _with_load: ("LOAD", SLOW_LOAD_RATE),
-    _reported: ("REPORTED", np.nan),
-    _cube: ("CUBE", np.nan),
-    _gap: ("GAP", np.nan),
-    _sine: ("SINE", np.nan),
-    _cosine: ("COSINE", np.nan),
+class Form(NamedTuple):
+    """A law as c/ports/host/multibody.c has it."""
+
+    name: str
+    """Of ZYGOS_LAW_..."""
+    width: float = np.nan
+    shape: float | None = None
+    """None: that of the effect."""
+
+
+COMPILED: Mapping[Callable[[Motion, float], Array], Form] = {
+    _one: Form("ONE"),
+    _offset: Form("ONE"),
+    _viscous: Form("RATE"),
+    _viscous_size: Form("SIZE"),
+    _coulomb: Form("SIGN", SLOWEST_RATE),
+    _stribeck: Form("STRIBECK", SLOWEST_RATE),
+    _with_load: Form("LOAD", SLOW_LOAD_RATE),
+    _reported: Form("REPORTED"),
+    _cube: Form("CUBE"),
+    _gap: Form("GAP"),
+    _sine: Form("SINE"),
+    _cosine: Form("COSINE"),
+    _always: Form("ONE"),
+    _since: Form("SINCE"),
+    _base_sine: Form("SINE"),
+    _base_cosine: Form("COSINE"),
+    _double_sine: Form("SINE", shape=2.0),
+    _double_cosine: Form("COSINE", shape=2.0),
 }
-"""Laws at joints that c/ports/host/multibody.c has as well: its form ZYGOS_LAW_..., and its width."""
+"""Laws at joints and on the base that are compiled as well."""
 
 
 def _bristle_rates(motion: Motion, distance: float) -> tuple[Array, Array]:
@@ -518,6 +534,7 @@ ENTRIES = (
         positive=False,
         twins=("base_torque",),
         searched=False,
+        searched_last=True,
         shapes=_grid(1.0, 300.0, 12),
         shape_title="onset since the start of the run",
         shape_unit="s",

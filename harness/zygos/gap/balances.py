@@ -54,6 +54,10 @@ GAIN = 0.02
 """Deviation of the gain of such a sensor against that of the first one."""
 
 
+Lost = dict[str, list[Array]]
+"""By column of an error of a sensor, and balance (..., A, m): what 1 unit of it would take away."""
+
+
 @dataclass(frozen=True)
 class SensorError:
     """An error that a run's sensor may have: a constant one, or of its gain."""
@@ -360,21 +364,29 @@ def balance_rows(
     return BalanceRows(layout, tuple(out))
 
 
-def zero_columns(layout: Layout, readings: Readings, values: Array, every: int = 1) -> tuple[Array, ...]:
+def zero_columns(
+    layout: Layout, readings: Readings, values: Array, every: int = 1, known: Lost | None = None
+) -> tuple[Array, ...]:
     """By balance (..., A, m, ·): what errors of the sensors of 1 unit would take away, to first order: the entries of
-    the catalogue at sensors, then the errors that each run has for itself."""
+    the catalogue at sensors, then the errors that each run has for itself.
+
+    known: columns of layouts of the same arm, for the same readings and values, that need not be computed again; those
+    that are missing are added.
+    """
     value = np.where(np.isfinite(values), values, 0.0)
     names = layout.arm.parameter_names
-    known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
+    own_values = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
+    columns = {} if known is None else known
 
     def left_over(moving: _Moving) -> list[Array]:
-        rows = zip(_bodies(layout, moving), known, _right(layout, moving), strict=True)
+        rows = zip(_bodies(layout, moving), own_values, _right(layout, moving), strict=True)
         return [own @ x - right for own, x, right in rows]
 
     still = _Moving.of(layout.arm, readings, every)
-    without = left_over(still)
+    without: list[Array] = []
 
     def lost(wrong: Readings) -> list[Array]:
+        without[:] = without or left_over(still)
         # what errors of this size do in the second order is 1e-5 of it at the most
         with_it = left_over(_Moving.of(layout.arm, wrong, every))
         return [(a - b) / _SHIFT for a, b in zip(without, with_it, strict=True)]
@@ -390,8 +402,14 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
         number = one.kind.components(layout.arm).index(one.component)
         return lost(one.kind.transform(layout.arm, readings, one.joint, _SHIFT, number))
 
-    each = [misread(one) for one in layout.sensors] + [taken(error) for error in layout.errors.values()]
-    return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))
+    for one in layout.sensors:
+        if one.name not in columns:
+            columns[one.name] = misread(one)
+    for name, error in layout.errors.items():
+        if name not in columns:
+            columns[name] = taken(error)
+    each = [columns[name] for name in (*(one.name for one in layout.sensors), *layout.zeros)]
+    return tuple(np.stack(parts, axis=-1) for parts in zip(*each, strict=True))
 
 
 def law_along(layout: Layout, one: Acting, readings: Readings, values: Array) -> tuple[Array, Array]:
@@ -464,14 +482,15 @@ class _Moving:
 
     @cached_property
     def momentum(self) -> Array:
-        """Columns (..., A, m, r, K + N) as `momentum.momentum_columns`, at the instants of the rows."""
-        return momentum.momentum_columns(self.arm, self.thin, self.postures)
+        """Columns (..., A, m, r, K + N) as `momentum.momentum_columns`, at the instants of the rows; in space in the
+        axes of the arc's origin."""
+        attitude = self.attitude if self.arm.spatial else None
+        return momentum.momentum_columns(self.arm, self.thin, self.postures, attitude)
 
     @cached_property
     def spin(self) -> Array:
         """(..., A, m, r, N) momentum of unit rotors, in space in the axes of the arc's origin."""
-        spin = self.momentum[..., self.momentum.shape[-1] - self.arm.n :]
-        return np.asarray(self.attitude @ spin if self.arm.spatial else spin, dtype=np.float64)
+        return np.asarray(self.momentum[..., self.momentum.shape[-1] - self.arm.n :], dtype=np.float64)
 
     def thinned(self, x: Array) -> Array:
         """(..., A, m) of (..., A, instants)."""
@@ -618,8 +637,7 @@ def _bodies(layout: Layout, moving: _Moving) -> Iterator[Array]:
         reduced = arm.structure.reduced(np.concatenate([kinetic, np.stack(listed, axis=-1)], axis=-1))
         kept = [k for k, one in enumerate(arm.parameters) if one.joint is None or one.symbol == "Im"]
         if arm.spatial:
-            reduced = moving.attitude @ reduced[..., kept]
-            yield from (reduced[..., k, :] for k in range(3))
+            yield from (reduced[..., k, kept] for k in range(3))
         else:
             yield reduced[..., 0, kept]
 

@@ -384,7 +384,8 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     shape: float = one.shape
     layout, plain = after.layout, one.name.partition("@")[0]
     own = [x.shape for x in layout.effects if x.plain == plain and x.shape is not None]
-    known = sorted(set(dict(layout.shapes).get(plain) or (*own, *one.kind.shapes)))
+    # the best of a finer grid may lie at its end
+    known = sorted({*(dict(layout.shapes).get(plain) or own), *one.kind.shapes, shape})
     at = min(range(len(known)), key=lambda k: abs(np.log(known[k] / shape)))
     low, high = known[max(at - 1, 0)], known[min(at + 1, len(known) - 1)]
     fine = tuple(float(f"{x:.6g}") for x in np.geomspace(low, high, 7))

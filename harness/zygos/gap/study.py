@@ -18,6 +18,7 @@ from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import (
     Acting,
     Layout,
+    Lost,
     Sums,
     accumulate,
     acting,
@@ -73,6 +74,8 @@ class Study:
     """(runs, zeros) errors of the sensors that were taken off the records."""
     sensors: tuple[Effect, ...]
     """Errors of the sensors that the twins were made with."""
+    lost: tuple[tuple[Lost, Lost], ...]
+    """Of each run and its twin: what `zero_columns` has computed."""
 
     @property
     def layout(self) -> Layout:
@@ -295,8 +298,9 @@ def laid_out(study: Study, layout: Layout, count: int = DRAWS) -> Study:
     """The same runs, hypothesis and twins with other columns to search among, and `count` draws."""
     hypothesis = replace(study.hypothesis, layout=layout)
     return _fitted(
-        study.records, study.accepted, hypothesis, study.model, study.twins, study.sensors, count, study.applied
-    )
+        study.records, study.accepted, hypothesis, study.model, study.twins, study.sensors, count, study.applied,
+        study.lost,
+    )  # fmt: skip
 
 
 def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Study:
@@ -432,21 +436,26 @@ def _fitted(
     sensors: tuple[Effect, ...],
     count: int,
     applied: Array,
+    lost: tuple[tuple[Lost, Lost], ...] = (),
 ) -> Study:
     layout = hypothesis.layout
     arm, uncentred = layout.arm, hypothesis.uncentred
     base = base_values(dynamics, layout)
     every = thinning(arm)
-    zeros = [zero_columns(layout, record.readings(), base, every) for record in records]
+    lost = lost or tuple(({}, {}) for _ in records)
+    zeros = [
+        zero_columns(layout, record.readings(), base, every, known)
+        for record, (known, _) in zip(records, lost, strict=True)
+    ]
     made = np.array([coefficient(dynamics, hypothesis, name, sensors) for name in hypothesis.names])
     known = hypothesis.basis() @ np.concatenate([np.zeros(len(layout.zeros)), made, [-1.0]])
     # those of a record, for a twin that moves a little otherwise, bend all its coefficients
     drawn = tuple(
         draws(
-            twin, kept, count, layout, uncentred, zero_columns(layout, twin.exact, base, every), base, count * k, every,
-            known,
+            twin, kept, count, layout, uncentred, zero_columns(layout, twin.exact, base, every, own), base, count * k,
+            every, known,
         )
-        for k, (twin, kept) in enumerate(zip(twins, accepted, strict=True))
+        for k, (twin, kept, (_, own)) in enumerate(zip(twins, accepted, lost, strict=True))
     )  # fmt: skip
     sums = tuple(
         replace(
@@ -480,6 +489,7 @@ def _fitted(
         guess.value.std(axis=0, ddof=1),
         applied,
         sensors,
+        lost,
     )
 
 
