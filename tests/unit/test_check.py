@@ -103,6 +103,10 @@ def _fills(native: Any) -> None:
     native.accumulator.buffer[native.accumulator.filling].gram[0] += 1.0
 
 
+def _open_momentum_rows(native: Any) -> None:
+    native.momentum_sums.arc[native.momentum_sums.parity].rows.gram[0] *= 2.0
+
+
 CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {
     "magic": (changed("magic", lambda x: x ^ 4), lib.ZYGOS_E_ORDER),
     "gear ratio": (changed("config.joint[1].gear_ratio", lambda x: 2 * x), lib.ZYGOS_E_CONFIG),
@@ -116,7 +120,7 @@ CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {
     "noise": (changed("accumulator.noise_closed.gram[0]", lambda x: x + 1.0), lib.ZYGOS_E_SUMS),
     "instants of the arc": (changed("accumulator.arc_instants", lambda x: x ^ 8), lib.ZYGOS_E_SUMS),
     "motor rows": (changed("motor_sums.block[0].joint[1].sum[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
-    "momentum rows": (changed("momentum_sums.arc[0].rows.gram[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
+    "momentum rows": (_open_momentum_rows, lib.ZYGOS_E_SUMS),
 }
 
 

@@ -99,7 +99,8 @@ def blocks(flight: Flight, kind: str) -> list[tuple[str, Any]]:
     sums = getattr(flight.native, kind)
     if kind != "accumulator":
         listed = [(f"{kind}.block[{b}]", sums.block[b]) for b in (0, sums.count // 2, sums.count - 1)]
-        return [*listed, (f"{kind}.open", sums.open)]
+        name = "open" if kind == "motor_sums" else f"arc[{sums.parity}]"
+        return [*listed, (f"{kind}.{name}", sums.open if kind == "motor_sums" else sums.arc[sums.parity])]
     ranks = (0, sums.open // 2, sums.open - 1, sums.fresh, sums.fresh + 1, sums.count - 1)
     return [(f"{kind}.block[{sums.order[r]}]", sums.block[sums.order[r]]) for r in ranks]
 

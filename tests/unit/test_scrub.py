@@ -421,10 +421,10 @@ def test_momentum_rows_without_components_are_not_formed(flight: Flight, motion:
     sums = flight.native.momentum_sums
     flight.native.places ^= sums.components
     sums.components = 0
-    before = bytes_of(ffi.addressof(sums, "open"))
+    before = bytes_of(ffi.addressof(sums, "arc"))
     rest = part(again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(1)), 0, 100)
     flight.cycles(replace(rest, flags=np.zeros(len(rest), dtype=np.uint32)))
-    assert flight.native.cycle == rest.sync[-1] and bytes_of(ffi.addressof(sums, "open")) == before
+    assert flight.native.cycle == rest.sync[-1] and bytes_of(ffi.addressof(sums, "arc")) == before
     assert flight.estimate().validity == "refused"
     assert lib.zygos_scrub(flight.native, pristine) > 0
     assert lib.zygos_scrub(flight.native, pristine) == 0
