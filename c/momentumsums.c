@@ -338,7 +338,7 @@ static void eliminate(zygos_momentum_sums_t *self)
     }
     for (uint32_t a = self->row; (a < end) && (a < p); a++) {
         double row = 0.0;
-        double mean[MOST_COMPONENTS]; /* of this column in the rows of each component */
+        double mean[MOST_COMPONENTS] = { 0.0 }; /* of this column in the rows of each component */
         for (uint32_t c = 0; (c < MOST_COMPONENTS) && (c < self->components); c++) {
             const double n = constant[c][p + c];
             mean[c] = (n > 0.0) ? constant[c][a] / n : 0.0;
