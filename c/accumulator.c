@@ -775,10 +775,10 @@ void zygos_accumulator_share_out(zygos_accumulator_t *self)
 static void make_ready(zygos_accumulator_t *self, uint32_t needed)
 {
     for (uint32_t tries = 0; (self->ready < needed) && (tries < 4u * (uint32_t)ZYGOS_MAX_BLOCKS); tries++) {
-        const uint32_t last = (uint32_t)ZYGOS_MAX_BLOCKS - self->ready;
-        finish_upkeep(self);
-        if (self->count < last) {
-            clear_block(at(self, self->order[last - 1u]), self->width);
+        if ((self->task == ZYGOS_TASK_CLEAR) || (self->task == ZYGOS_TASK_MERGE)) {
+            finish_upkeep(self); /* which may make a block ready */
+        } else if (self->count + self->ready < (uint32_t)ZYGOS_MAX_BLOCKS) {
+            clear_block(at(self, self->order[(uint32_t)ZYGOS_MAX_BLOCKS - self->ready - 1u]), self->width);
             self->ready++;
         } else if (self->task == ZYGOS_TASK_NONE) {
             begin_next_task(self);

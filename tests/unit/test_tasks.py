@@ -1,0 +1,176 @@
+"""What proceeds beside the cycles gives what it would have given at once, whatever comes between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from flight_support import part
+from numpy.typing import NDArray
+from soak_support import again, resealed, stored, with_all_rows
+
+from zygos.arm import Arm
+from zygos.model.model import Model
+from zygos.native.flight import Flight, cycles_to_native, ffi, lib
+from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
+from zygos.simulation.scenario import Scenario
+
+Floats = NDArray[np.float64]
+
+ADMIT, MOMENTUM_ADMIT = 6, 5
+ARCS = 40
+SEEDS = 40
+
+
+@pytest.fixture(scope="module")
+def motion(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
+    """A minute without noise."""
+    return stored(arm, model, scenario)
+
+
+def settle(flight: Flight) -> None:
+    """Finishes every task."""
+    guard, config, columns, energy, motors, momentum = (
+        ffi.addressof(flight.native, name)
+        for name in ("guard", "config", "column_map", "accumulator", "motor_sums", "momentum_sums")
+    )
+    lib.zygos_guard_settle_energy(guard, config, energy)
+    lib.zygos_guard_settle_motors(guard, config, columns, motors)
+    lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
+
+
+def of(array: Any, entries: int) -> Floats:
+    return np.frombuffer(ffi.buffer(array), dtype=np.float64)[:entries].copy()
+
+
+def sums(flight: Flight) -> dict[str, Floats]:
+    """The sums of closed arcs of each kind and of their noise, whatever the blocks are; all that fades has faded."""
+    state, work = flight.native, ffi.new("zygos_work_t *")
+    lib.zygos_take(state, work)
+    assert lib.zygos_work_settle(work)
+    energy, motors, momentum = work.accumulator, work.motor_sums, work.momentum_sums
+    inner = (energy.width - 1) * energy.width // 2
+    closed = (energy.block[place] for place in energy.order[0 : energy.open])
+    out = {
+        "energy": state.forgetting * sum((block.fade * of(block.gram, inner) for block in closed), np.zeros(inner)),
+        "noise": state.forgetting * energy.noise_fade * of(energy.noise_closed.gram, inner),
+    }
+    for i in range(flight.arm.n):
+        width = motors.column_map.count[i] + 1
+        blocks = motors.block[0 : motors.count]
+        entries = width * (width + 1) // 2
+        grams = (block.fade * of(block.joint[i].gram, entries) for block in blocks)
+        out[f"motor {i}"] = state.motors_forgetting * sum(grams, np.zeros(entries))
+    entries = momentum.columns * (momentum.columns + 1) // 2
+    grams = (block.fade * of(block.rows.gram, entries) for block in momentum.block[0 : momentum.count])
+    out["momentum"] = state.momentum_forgetting * sum(grams, np.zeros(entries))
+    out["momentum noise"] = state.momentum_forgetting * momentum.noise_fade * of(momentum.noise_closed.gram, entries)
+    return out
+
+
+def counters(flight: Flight) -> dict[str, Any]:
+    work = ffi.new("zygos_work_t *")
+    lib.zygos_take(flight.native, work)
+    assert lib.zygos_work_settle(work)
+    energy, motors, momentum = work.accumulator, work.motor_sums, work.momentum_sums
+    kinds = (energy, motors, momentum)
+    return {
+        "accepted": energy.accepted,
+        "refused": energy.refused,
+        "arcs": energy.arcs,
+        "arcs_dropped": energy.arcs_dropped,
+        "left_out": list(work.guard.left_out),
+        "quarantined": [kind.quarantined for kind in kinds],
+        "corrupt": [kind.corrupt for kind in kinds],
+    }
+
+
+def pieces(arm: Arm, motion: Cycles, rng: np.random.Generator, voids: bool) -> Iterator[Cycles]:
+    """Arcs of all lengths, broken off and interrupted."""
+    cycle, at = 1, 0
+    kinds = [(1, 15), (12, 45), (12, 45), (40, 120), (100, 600)]
+    for _ in range(ARCS):
+        n = int(rng.integers(*kinds[rng.integers(len(kinds))]))
+        index = (at + np.arange(n)) % len(motion)
+        noisy = again(arm, motion, 1, rng)
+        at = int(index[-1]) + 1
+        how = ["gap", "break", "goes on", "losses", "void" if voids else "gap"][rng.integers(5)]
+        sync = np.arange(cycle, cycle + n, dtype=np.uint64)
+        sync += np.uint64(rng.integers(1, 5) if how == "gap" else 0)
+        if how == "losses":
+            sync += np.cumsum(rng.random(n) < 0.02).astype(np.uint64)
+        flags = np.zeros(n, dtype=np.uint32)
+        if how == "break":
+            flags[0] = BREAK_BEFORE
+        if how == "void":
+            flags[0] = VOID_BEFORE | int(rng.integers(1, 200)) << VOID_SHIFT
+        cycle = int(sync[-1]) + 1
+        chosen = Cycles(*(getattr(noisy, name)[index] for name in Cycles.__dataclass_fields__))
+        yield replace(chosen, sync=sync, flags=flags)
+
+
+def drawn(arm: Arm, rng: np.random.Generator) -> tuple[Arm, float]:
+    """Arcs so short that tasks meet, and a factor of forgetting."""
+
+    def one(*of_these: float) -> float:
+        return of_these[rng.integers(len(of_these))]
+
+    changed = replace(
+        arm,
+        arc_max_s=arm.period_s * one(60, 150, 400, 1000),
+        impulse_arc_s=arm.period_s * one(0, 20, 60, 150),
+        momentum_max_s=arm.period_s * one(0, 25, 70, 200),
+        compensate_every=int(one(0, 1, 5)),
+    )
+    return changed, one(1.0, 1.0, 0.9999, 0.999)
+
+
+def same(found: dict[str, Floats], expected: dict[str, Floats]) -> None:
+    """To rounding, in units of the columns' lengths."""
+    for name, gram in expected.items():
+        width = int(np.sqrt(2 * len(gram)))
+        rows, columns = np.tril_indices(width)
+        length = np.sqrt(np.abs(gram[rows == columns]))
+        length = np.maximum(length, 1e-7 * np.max(length, initial=0.0)) + 1e-150
+        off = np.abs(found[name] - gram) / (length[rows] * length[columns])
+        assert np.max(off, initial=0.0) < 1e-9, name
+
+
+def scrubbed(flight: Flight) -> int:
+    config = ffi.new("zygos_config_t *", flight.native.config)
+    return int(lib.zygos_scrub(flight.native, config))
+
+
+def resumed(flight: Flight) -> int:
+    config = ffi.new("zygos_config_t *", flight.native.config)
+    return int(lib.zygos_resume(flight.native, config))
+
+
+@pytest.mark.parametrize("first", range(0, SEEDS, 10))
+def test_sums_and_counters_are_those_of_an_arm_that_waits_for_its_tasks(arm: Arm, motion: Cycles, first: int) -> None:
+    """One finishes its tasks after each cycle, the other one never waits."""
+    for seed in range(first, first + 10):
+        rng = np.random.default_rng(seed)
+        short, keep = drawn(arm, rng)
+        flights = [Flight(short), Flight(short)]
+        for flight in flights:
+            config = ffi.new("zygos_config_t *", flight.native.config)
+            config.forgetting_factor = keep
+            assert lib.zygos_init(flight.native, config) == 1
+        busy, waiting = flights
+        for cycles in pieces(short, motion, rng, voids=False):
+            busy.cycles(cycles)
+            native = cycles_to_native(cycles)
+            for k in range(len(cycles)):
+                lib.zygos_cycle(waiting.native, native + k)
+                settle(waiting)
+            between = rng.integers(20)
+            if between == 0:
+                assert [scrubbed(flight) for flight in flights] == [0, 0]
+            elif between == 1:
+                assert [resumed(flight) for flight in flights] == [1, 1]
+            assert counters(busy) == counters(waiting), seed
+            same(sums(busy), sums(waiting))
