@@ -671,13 +671,19 @@ void zygos_accumulator_proceed(zygos_accumulator_t *self)
     }
 }
 
+/* Finishes a task of that kind. */
+static void finish(zygos_accumulator_t *self, uint32_t task)
+{
+    while (self->task == task) {
+        zygos_accumulator_proceed(self);
+    }
+}
+
 /* Finishes a task that concerns free or closed blocks only. */
 static void finish_upkeep(zygos_accumulator_t *self)
 {
-    const uint32_t task = self->task;
-    while ((self->task == task) && ((task == ZYGOS_TASK_CLEAR) || (task == ZYGOS_TASK_MERGE))) {
-        zygos_accumulator_proceed(self);
-    }
+    finish(self, ZYGOS_TASK_CLEAR);
+    finish(self, ZYGOS_TASK_MERGE);
 }
 
 bool zygos_accumulator_closing(const zygos_accumulator_t *self)
@@ -1016,6 +1022,7 @@ static void reduce(zygos_accumulator_t *self, double before)
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
 {
     finish_upkeep(self);
+    finish(self, ZYGOS_TASK_ADMIT); /* a part of its noise may be in that of closed arcs */
     drop_open_arc(self, true);
     if (zygos_accumulator_closing(self)) {
         if (self->closing_end <= cycle) {

@@ -207,9 +207,10 @@ bool zygos_accumulator_rests(const zygos_accumulator_t *self);
 /// checksums of each block.
 void zygos_accumulator_forget(zygos_accumulator_t *self, double factor);
 
-/// Drops the open arc, and the blocks of closed arcs with cycles after the given one. A block in which such cycles were
-/// merged with older ones is dropped as a whole. Cost: at the most one pass over a block, and one over the noise of the
-/// open arc.
+/// Drops the open arc, the closing one and the blocks of closed arcs with cycles after the given one. A block in which
+/// such cycles were merged with older ones is dropped as a whole. An arc that is being admitted is admitted before, and
+/// its share of the noise is dropped in proportion. Cost: at the most one pass over a block, two over the noise of an
+/// arc, and one over the buffers.
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 
 /// Drops the blocks of closed arcs up to the given cycle, and their share of the noise. Returns the number of arcs,

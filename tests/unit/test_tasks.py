@@ -174,3 +174,42 @@ def test_sums_and_counters_are_those_of_an_arm_that_waits_for_its_tasks(arm: Arm
                 assert [resumed(flight) for flight in flights] == [1, 1]
             assert counters(busy) == counters(waiting), seed
             same(sums(busy), sums(waiting))
+
+
+def intact(flight: Flight) -> bool:
+    config, work = ffi.new("zygos_config_t *", flight.native.config), ffi.new("zygos_work_t *")
+    return bool(lib.zygos_check(flight.native, config, work) == 1)
+
+
+@pytest.mark.parametrize("first", range(0, SEEDS, 10))
+def test_arcs_that_are_dropped_amid_tasks_leave_the_sums_whole(arm: Arm, motion: Cycles, first: int) -> None:
+    for seed in range(first, first + 10):
+        rng = np.random.default_rng(seed)
+        flight = Flight(drawn(arm, rng)[0])
+        for cycles in pieces(flight.arm, motion, rng, voids=True):
+            flight.cycles(cycles)
+            assert intact(flight), seed
+
+
+@pytest.mark.parametrize(("kind", "task"), [("accumulator", ADMIT), ("momentum_sums", MOMENTUM_ADMIT)])
+def test_an_arc_that_is_void_while_it_is_admitted_leaves_no_noise(
+    arm: Arm, motion: Cycles, kind: str, task: int
+) -> None:
+    """What of its noise is in that of closed arcs goes with it."""
+    short = replace(with_all_rows(arm), arc_max_s=4.0, impulse_arc_s=0.0, momentum_max_s=5.0, compensate_every=1)
+    flight = Flight(short)
+    cycles = again(short, motion, 1, np.random.default_rng(0))
+    found = 0
+    for k in range(len(cycles)):
+        one = part(cycles, k, k + 1)
+        state = getattr(flight.native, kind)
+        if state.task == task and state.row > 0:
+            copy = Flight(short)
+            ffi.memmove(copy.native, flight.native, ffi.sizeof("zygos_t"))
+            one.flags[0] = VOID_BEFORE | 200 << VOID_SHIFT
+            copy.cycles(one)
+            assert intact(copy), k
+            one.flags[0] = 0
+            found += 1
+        flight.cycles(one)
+    assert found > 5
