@@ -620,7 +620,7 @@ static void leave_out(zygos_accumulator_t *self)
 static void proceed_admit(zygos_accumulator_t *self)
 {
     zygos_noise_sums_t *open = &self->noise_open[self->parity ^ 1u];
-    const double factor = (double)self->admitted / self->noise_fade;
+    const double factor = ((self->admitted != 0) ? 1.0 : 0.0) / self->noise_fade;
     if ((self->noisy != 0) && (self->row < self->width)) {
         const uint32_t end = zygos_accumulator_part(self, 1u);
         for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
@@ -795,15 +795,15 @@ static void make_ready(zygos_accumulator_t *self, uint32_t needed)
 /* Opens the next segment; of an arc that begins with two blocks. Where few blocks are ready the segment goes on. */
 static void next_segment(zygos_accumulator_t *self)
 {
-    const bool begins = (self->count == self->fresh);
-    const uint32_t needed = begins ? 2u : 1u;
-    if (!begins && (self->ready < ZYGOS_SPARE_BLOCKS)) {
+    if ((self->count > self->fresh) && (self->ready < ZYGOS_SPARE_BLOCKS)) {
         return;
     }
-    judge(self);
+    judge(self); /* which may leave no block in use */
+    const uint32_t needed = (self->count == self->fresh) ? 2u : 1u;
     make_ready(self, needed);
-    if ((self->ready < needed) || (self->count + needed > (uint32_t)ZYGOS_MAX_BLOCKS)) {
+    if (self->ready < needed) {
         forget_places(self); /* a changed target or number of instants */
+        make_ready(self, 2u);
         self->corrupt = 1;
     }
     self->segment = 0.0;
@@ -1190,7 +1190,7 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
 
 static bool is_block_whole(const zygos_block_t *block, uint32_t width)
 {
-    return is_whole(block, width) && is_count(block->instants) &&
+    return is_whole(block, width) && is_count(block->instants) && is_factor(block->fade) &&
            (zygos_gram_check(block->gram, width, block->sum, block->instants) <= 1.0);
 }
 

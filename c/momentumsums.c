@@ -400,7 +400,8 @@ static void admit(zygos_momentum_sums_t *self)
     const uint32_t end = zygos_momentum_sums_part(self, 1u);
     const uint32_t last = zygos_gram_entries(end);
     const uint32_t inner = zygos_gram_entries(self->columns);
-    const double factor = (double)self->admitted / self->noise_fade;
+    const bool admitted = (self->admitted != 0);
+    const double factor = (admitted ? 1.0 : 0.0) / self->noise_fade;
     zygos_momentum_block_t *to = &self->block[(self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES) ? self->count : 0u];
     zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
     zygos_momentum_gram_t *noise = &ZYGOS_MOMENTUM_NOISE_CLOSING(self);
@@ -427,7 +428,7 @@ static void admit(zygos_momentum_sums_t *self)
     to->end = closing->end;
     to->checksum = checksum_of_block(to);
     judge(self);
-    self->count += self->admitted;
+    self->count += (admitted && (self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES)) ? 1u : 0u;
     self->checksum = checksum_of(self);
     closing->instants = 0.0;
     self->closing_cycles = 0;

@@ -213,3 +213,28 @@ def test_an_arc_that_is_void_while_it_is_admitted_leaves_no_noise(
             found += 1
         flight.cycles(one)
     assert found > 5
+
+
+def test_blocks_that_cannot_merge_are_given_up(arm: Arm) -> None:
+    """Changed numbers of instants, and all blocks in use: an arc that begins finds its two blocks nevertheless."""
+    flight = Flight(arm)
+    energy = flight.native.accumulator
+    most = len(energy.block)
+    for r in range(most):
+        energy.block[r].instants = 1e300
+    energy.count = energy.open = energy.fresh = most - 1
+    energy.ready = 1
+    energy.checksum = resealed(energy)
+    row = ffi.new("zygos_row_t *")
+    lib.zygos_accumulator_add(ffi.addressof(energy), row, 1.0)
+    assert (energy.corrupt, energy.open, energy.fresh, energy.count, energy.ready) == (1, 0, 0, 2, 0)
+    assert sorted(energy.order[0:most]) == list(range(most))
+
+
+def test_an_arc_is_admitted_once(arm: Arm) -> None:
+    """Whatever the flag of its admission is."""
+    flight = Flight(with_all_rows(arm))
+    momentum = flight.native.momentum_sums
+    momentum.task, momentum.admitted = MOMENTUM_ADMIT, 100
+    settle(flight)
+    assert (momentum.count, momentum.corrupt) == (1, 0)
