@@ -422,6 +422,14 @@ static bool is_shared_out(const zygos_accumulator_t *self)
     return all;
 }
 
+/* Of what all blocks of the closing arc are centred with, for as long as that takes. */
+static uint32_t checksum_of_means(const zygos_accumulator_t *self)
+{
+    const uint64_t means = zygos_checksum_doubles(2u, self->mean, self->width);
+    const uint64_t sum = zygos_checksum_number(zygos_checksum_number(means, self->closing_end), self->closing_instants);
+    return (uint32_t)(sum ^ (sum >> 32u));
+}
+
 static void take_means(zygos_accumulator_t *self)
 {
     const uint32_t last = zygos_gram_entries(self->width - 1u);
@@ -440,6 +448,7 @@ static void take_means(zygos_accumulator_t *self)
     const double few = rounded((double)self->closing_instants);
     self->whole = ((counted > 1.0 - few) && (counted < 1.0 + few)) ? 1u : 0u;
     self->overlap = 0.0;
+    self->means = checksum_of_means(self);
 }
 
 /* The next part of the closing arc, of which nothing is left when it does not match. */
@@ -575,7 +584,8 @@ static void proceed_centre(zygos_accumulator_t *self)
     if (task_ends(self, end)) {
         block->end = self->closing_end;
         block->fade = 1.0;
-        seal(block, self->width, true);
+        self->whole &= (self->means == checksum_of_means(self)) ? 1u : 0u;
+        seal(block, self->width, self->whole != 0);
         begin_task(self, ZYGOS_TASK_JUDGE, self->places);
     }
 }

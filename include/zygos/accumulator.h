@@ -123,7 +123,7 @@ typedef struct {
     uint32_t admitted;         ///< 1: the closing arc is admitted.
     uint32_t closing_instants; ///< Accepted instants of the closing arc.
     uint32_t closing_cycles;   ///< Its cycles.
-    uint32_t reserved;
+    uint32_t means;       ///< Checksum of mean, closing_end and closing_instants, while the constant is eliminated.
     uint64_t closing_end; ///< The number of its newest cycle.
     double enough;        ///< Instants with which arcs are compared.
     double target;        ///< Length of the next segment in instants.
@@ -145,9 +145,9 @@ typedef struct {
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
-/// The members with which a cycle addresses blocks, in one number.
+/// The members with which a cycle addresses blocks, in one number. A block of closed arcs must not be centred again.
 #define ZYGOS_ACCUMULATOR_TWIN(self)                                                                                   \
-    ((self)->count ^ (self)->open ^ (self)->fresh ^ (self)->ready ^ (self)->task ^ (self)->places ^                    \
+    ((self)->count ^ (self)->open ^ (self)->fresh ^ (self)->ready ^ (self)->task ^ (self)->places ^ (self)->rank ^     \
      (self)->buffer[0].places ^ (self)->buffer[1].places ^ (self)->buffer[2].places)
 
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.

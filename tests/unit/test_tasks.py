@@ -215,6 +215,47 @@ def test_an_arc_that_is_void_while_it_is_admitted_leaves_no_noise(
     assert found > 5
 
 
+def of_closed_arcs(arm: Arm, motion: Cycles) -> Flight:
+    """A flight whose second arc is closing."""
+    short = replace(arm, arc_max_s=10.0, impulse_arc_s=0.0, momentum_max_s=0.0)
+    flight = Flight(short)
+    cycles = again(short, motion, 1, np.random.default_rng(0))
+    for k in range(len(cycles)):
+        flight.cycles(part(cycles, k, k + 1))
+        energy = flight.native.accumulator
+        if energy.open > 1 and energy.fresh > energy.open and energy.rank == energy.open + 1:
+            return flight
+    raise AssertionError
+
+
+@pytest.mark.parametrize("bit", [0, 1, 4, 31])
+def test_no_block_of_closed_arcs_is_centred_again(arm: Arm, motion: Cycles, bit: int) -> None:
+    """The place of a closing arc that is next is compared with its twin in each cycle."""
+    flight = of_closed_arcs(arm, motion)
+    cycles = part(again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(1)), 0, 1)
+    flight.native.accumulator.rank ^= 1 << bit
+    assert lib.zygos_cycle(flight.native, cycles_to_native(cycles)) == lib.ZYGOS_E_STATE
+
+
+@pytest.mark.parametrize("name", ["mean", "closing_end"])
+def test_an_arc_that_is_centred_with_changed_means_is_left_out(arm: Arm, motion: Cycles, name: str) -> None:
+    flight, expected = of_closed_arcs(arm, motion), of_closed_arcs(arm, motion)
+    lib.zygos_accumulator_drop_after(ffi.addressof(expected.native, "accumulator"), 200)
+    before = sums(expected)
+    energy = flight.native.accumulator
+    if name == "mean":
+        image = ffi.cast("uint64_t *", energy.mean)
+        image[2] ^= 1 << 40
+    else:
+        energy.closing_end ^= 1
+    settle(flight)
+    assert energy.quarantined == 1
+    assert energy.fresh == energy.open
+    for kind in ("energy", "noise"):
+        np.testing.assert_array_equal(sums(flight)[kind], before[kind])
+    assert scrubbed(flight) == lib.ZYGOS_SCRUBBED_BLOCKS
+
+
 def test_blocks_that_cannot_merge_are_given_up(arm: Arm) -> None:
     """Changed numbers of instants, and all blocks in use: an arc that begins finds its two blocks nevertheless."""
     flight = Flight(arm)
