@@ -1252,7 +1252,8 @@ bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
         return false;
     }
     self->corrupt = 0;
-    bool whole = !zygos_accumulator_closing(self) && (self->task == ZYGOS_TASK_NONE);
+    bool whole = !zygos_accumulator_closing(self) && (self->task == ZYGOS_TASK_NONE) &&
+                 (self->twin == ZYGOS_ACCUMULATOR_TWIN(self));
     for (uint32_t r = 0; whole && (r < self->open); r++) {
         whole = is_block_whole(zygos_accumulator_at(self, r), self->width);
     }

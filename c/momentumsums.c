@@ -174,7 +174,8 @@ bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
 {
     return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) &&
            (self->row <= width_of(self)) && (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
-           (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES);
+           (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
+           ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || !(ZYGOS_MOMENTUM_CLOSING(self).instants > 0.0));
 }
 
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
@@ -659,8 +660,9 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
         (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || !is_factor(self->noise_fade) || !(self->noise_fade > 0.0)) {
         return false;
     }
-    if ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->row != 0)) {
-        self->quarantined += (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) ? 1u : 0u;
+    const bool closing = (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (ZYGOS_MOMENTUM_CLOSING(self).instants > 0.0);
+    if (closing || (self->row != 0)) {
+        self->quarantined += closing ? 1u : 0u;
         leave_closing_out(self);
     }
     self->place = 0;

@@ -145,10 +145,11 @@ typedef struct {
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
-/// The members with which a cycle addresses blocks, in one number. A block of closed arcs must not be centred again.
+/// The members with which a cycle addresses blocks, in one number, and those that tell which arc is closing.
 #define ZYGOS_ACCUMULATOR_TWIN(self)                                                                                   \
     ((self)->count ^ (self)->open ^ (self)->fresh ^ (self)->ready ^ (self)->task ^ (self)->places ^ (self)->rank ^     \
-     (self)->buffer[0].places ^ (self)->buffer[1].places ^ (self)->buffer[2].places)
+     (self)->parity ^ (self)->closing_instants ^ (self)->buffer[0].places ^ (self)->buffer[1].places ^                 \
+     (self)->buffer[2].places)
 
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);

@@ -229,12 +229,33 @@ def of_closed_arcs(arm: Arm, motion: Cycles) -> Flight:
 
 
 @pytest.mark.parametrize("bit", [0, 1, 4, 31])
-def test_no_block_of_closed_arcs_is_centred_again(arm: Arm, motion: Cycles, bit: int) -> None:
-    """The place of a closing arc that is next is compared with its twin in each cycle."""
+@pytest.mark.parametrize("name", ["rank", "closing_instants", "parity"])
+def test_which_arc_is_closing_and_how_far_it_is_has_a_twin(arm: Arm, motion: Cycles, name: str, bit: int) -> None:
+    """No block of closed arcs is centred again, and none is admitted as it is: both arcs are given up."""
     flight = of_closed_arcs(arm, motion)
+    closed = flight.native.accumulator.open
     cycles = part(again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(1)), 0, 1)
-    flight.native.accumulator.rank ^= 1 << bit
-    assert lib.zygos_cycle(flight.native, cycles_to_native(cycles)) == lib.ZYGOS_E_STATE
+    native = cycles_to_native(cycles)
+    setattr(flight.native.accumulator, name, getattr(flight.native.accumulator, name) ^ 1 << bit)
+    assert lib.zygos_cycle(flight.native, native) == lib.ZYGOS_E_STATE
+    assert scrubbed(flight) > 0
+    energy = flight.native.accumulator
+    assert (energy.open, energy.fresh, energy.count) == (closed, closed, closed)
+    assert lib.zygos_cycle(flight.native, native) == 1
+    assert intact(flight)
+
+
+def test_the_two_arcs_of_momentum_rows_do_not_change_places(arm: Arm, motion: Cycles) -> None:
+    """An arc that waits without a task is the open one, whose rows another arc would take for its own."""
+    flight = Flight(with_all_rows(arm))
+    flight.cycles(part(motion, 0, 100))
+    native = cycles_to_native(part(motion, 100, 101))
+    assert flight.native.momentum_sums.task == 0
+    flight.native.momentum_sums.parity ^= 1
+    assert lib.zygos_cycle(flight.native, native) == lib.ZYGOS_E_STATE
+    assert scrubbed(flight) == lib.ZYGOS_SCRUBBED_PLACES | lib.ZYGOS_SCRUBBED_BLOCKS
+    assert lib.zygos_cycle(flight.native, native) == 1
+    assert intact(flight)
 
 
 @pytest.mark.parametrize("name", ["mean", "closing_end"])
