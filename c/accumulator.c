@@ -422,6 +422,14 @@ static bool is_shared_out(const zygos_accumulator_t *self)
     return all;
 }
 
+/* Of what all blocks of the closing arc are centred with, for as long as that takes. */
+static uint32_t checksum_of_means(const zygos_accumulator_t *self)
+{
+    const uint64_t means = zygos_checksum_doubles(2u, self->mean, self->width);
+    const uint64_t sum = zygos_checksum_number(zygos_checksum_number(means, self->closing_end), self->closing_instants);
+    return (uint32_t)(sum ^ (sum >> 32u));
+}
+
 static void take_means(zygos_accumulator_t *self)
 {
     const uint32_t last = zygos_gram_entries(self->width - 1u);
@@ -440,6 +448,7 @@ static void take_means(zygos_accumulator_t *self)
     const double few = rounded((double)self->closing_instants);
     self->whole = ((counted > 1.0 - few) && (counted < 1.0 + few)) ? 1u : 0u;
     self->overlap = 0.0;
+    self->means = checksum_of_means(self);
 }
 
 /* The next part of the closing arc, of which nothing is left when it does not match. */
@@ -575,7 +584,8 @@ static void proceed_centre(zygos_accumulator_t *self)
     if (task_ends(self, end)) {
         block->end = self->closing_end;
         block->fade = 1.0;
-        seal(block, self->width, true);
+        self->whole &= (self->means == checksum_of_means(self)) ? 1u : 0u;
+        seal(block, self->width, self->whole != 0);
         begin_task(self, ZYGOS_TASK_JUDGE, self->places);
     }
 }
@@ -620,7 +630,7 @@ static void leave_out(zygos_accumulator_t *self)
 static void proceed_admit(zygos_accumulator_t *self)
 {
     zygos_noise_sums_t *open = &self->noise_open[self->parity ^ 1u];
-    const double factor = (double)self->admitted / self->noise_fade;
+    const double factor = ((self->admitted != 0) ? 1.0 : 0.0) / self->noise_fade;
     if ((self->noisy != 0) && (self->row < self->width)) {
         const uint32_t end = zygos_accumulator_part(self, 1u);
         for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
@@ -671,13 +681,19 @@ void zygos_accumulator_proceed(zygos_accumulator_t *self)
     }
 }
 
+/* Finishes a task of that kind. */
+static void finish(zygos_accumulator_t *self, uint32_t task)
+{
+    while (self->task == task) {
+        zygos_accumulator_proceed(self);
+    }
+}
+
 /* Finishes a task that concerns free or closed blocks only. */
 static void finish_upkeep(zygos_accumulator_t *self)
 {
-    const uint32_t task = self->task;
-    while ((self->task == task) && ((task == ZYGOS_TASK_CLEAR) || (task == ZYGOS_TASK_MERGE))) {
-        zygos_accumulator_proceed(self);
-    }
+    finish(self, ZYGOS_TASK_CLEAR);
+    finish(self, ZYGOS_TASK_MERGE);
 }
 
 bool zygos_accumulator_closing(const zygos_accumulator_t *self)
@@ -775,10 +791,10 @@ void zygos_accumulator_share_out(zygos_accumulator_t *self)
 static void make_ready(zygos_accumulator_t *self, uint32_t needed)
 {
     for (uint32_t tries = 0; (self->ready < needed) && (tries < 4u * (uint32_t)ZYGOS_MAX_BLOCKS); tries++) {
-        const uint32_t last = (uint32_t)ZYGOS_MAX_BLOCKS - self->ready;
-        finish_upkeep(self);
-        if (self->count < last) {
-            clear_block(at(self, self->order[last - 1u]), self->width);
+        if ((self->task == ZYGOS_TASK_CLEAR) || (self->task == ZYGOS_TASK_MERGE)) {
+            finish_upkeep(self); /* which may make a block ready */
+        } else if (self->count + self->ready < (uint32_t)ZYGOS_MAX_BLOCKS) {
+            clear_block(at(self, self->order[(uint32_t)ZYGOS_MAX_BLOCKS - self->ready - 1u]), self->width);
             self->ready++;
         } else if (self->task == ZYGOS_TASK_NONE) {
             begin_next_task(self);
@@ -789,15 +805,15 @@ static void make_ready(zygos_accumulator_t *self, uint32_t needed)
 /* Opens the next segment; of an arc that begins with two blocks. Where few blocks are ready the segment goes on. */
 static void next_segment(zygos_accumulator_t *self)
 {
-    const bool begins = (self->count == self->fresh);
-    const uint32_t needed = begins ? 2u : 1u;
-    if (!begins && (self->ready < ZYGOS_SPARE_BLOCKS)) {
+    if ((self->count > self->fresh) && (self->ready < ZYGOS_SPARE_BLOCKS)) {
         return;
     }
-    judge(self);
+    judge(self); /* which may leave no block in use */
+    const uint32_t needed = (self->count == self->fresh) ? 2u : 1u;
     make_ready(self, needed);
-    if ((self->ready < needed) || (self->count + needed > (uint32_t)ZYGOS_MAX_BLOCKS)) {
+    if (self->ready < needed) {
         forget_places(self); /* a changed target or number of instants */
+        make_ready(self, 2u);
         self->corrupt = 1;
     }
     self->segment = 0.0;
@@ -1016,6 +1032,7 @@ static void reduce(zygos_accumulator_t *self, double before)
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
 {
     finish_upkeep(self);
+    finish(self, ZYGOS_TASK_ADMIT); /* a part of its noise may be in that of closed arcs */
     drop_open_arc(self, true);
     if (zygos_accumulator_closing(self)) {
         if (self->closing_end <= cycle) {
@@ -1183,7 +1200,7 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
 
 static bool is_block_whole(const zygos_block_t *block, uint32_t width)
 {
-    return is_whole(block, width) && is_count(block->instants) &&
+    return is_whole(block, width) && is_count(block->instants) && is_factor(block->fade) &&
            (zygos_gram_check(block->gram, width, block->sum, block->instants) <= 1.0);
 }
 
@@ -1235,7 +1252,8 @@ bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
         return false;
     }
     self->corrupt = 0;
-    bool whole = !zygos_accumulator_closing(self) && (self->task == ZYGOS_TASK_NONE);
+    bool whole = !zygos_accumulator_closing(self) && (self->task == ZYGOS_TASK_NONE) &&
+                 (self->twin == ZYGOS_ACCUMULATOR_TWIN(self));
     for (uint32_t r = 0; whole && (r < self->open); r++) {
         whole = is_block_whole(zygos_accumulator_at(self, r), self->width);
     }

@@ -174,7 +174,8 @@ bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
 {
     return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) &&
            (self->row <= width_of(self)) && (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
-           (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES);
+           (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
+           ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || !(ZYGOS_MOMENTUM_CLOSING(self).instants > 0.0));
 }
 
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
@@ -400,7 +401,8 @@ static void admit(zygos_momentum_sums_t *self)
     const uint32_t end = zygos_momentum_sums_part(self, 1u);
     const uint32_t last = zygos_gram_entries(end);
     const uint32_t inner = zygos_gram_entries(self->columns);
-    const double factor = (double)self->admitted / self->noise_fade;
+    const bool admitted = (self->admitted != 0);
+    const double factor = (admitted ? 1.0 : 0.0) / self->noise_fade;
     zygos_momentum_block_t *to = &self->block[(self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES) ? self->count : 0u];
     zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
     zygos_momentum_gram_t *noise = &ZYGOS_MOMENTUM_NOISE_CLOSING(self);
@@ -427,7 +429,7 @@ static void admit(zygos_momentum_sums_t *self)
     to->end = closing->end;
     to->checksum = checksum_of_block(to);
     judge(self);
-    self->count += self->admitted;
+    self->count += (admitted && (self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES)) ? 1u : 0u;
     self->checksum = checksum_of(self);
     closing->instants = 0.0;
     self->closing_cycles = 0;
@@ -658,8 +660,9 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
         (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || !is_factor(self->noise_fade) || !(self->noise_fade > 0.0)) {
         return false;
     }
-    if ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->row != 0)) {
-        self->quarantined += (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) ? 1u : 0u;
+    const bool closing = (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (ZYGOS_MOMENTUM_CLOSING(self).instants > 0.0);
+    if (closing || (self->row != 0)) {
+        self->quarantined += closing ? 1u : 0u;
         leave_closing_out(self);
     }
     self->place = 0;

@@ -852,7 +852,8 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
         make_tables(self);
     }
     const uint32_t rebuilt = found;
-    if (zygos_accumulator_intact(&self->accumulator, self->column_map.parameters)) {
+    if ((self->accumulator.twin == ZYGOS_ACCUMULATOR_TWIN(&self->accumulator)) &&
+        zygos_accumulator_intact(&self->accumulator, self->column_map.parameters)) {
         zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
     }
     if (zygos_motor_sums_intact(&self->motor_sums, &self->config)) {

@@ -123,7 +123,7 @@ typedef struct {
     uint32_t admitted;         ///< 1: the closing arc is admitted.
     uint32_t closing_instants; ///< Accepted instants of the closing arc.
     uint32_t closing_cycles;   ///< Its cycles.
-    uint32_t reserved;
+    uint32_t means;       ///< Checksum of mean, closing_end and closing_instants, while the constant is eliminated.
     uint64_t closing_end; ///< The number of its newest cycle.
     double enough;        ///< Instants with which arcs are compared.
     double target;        ///< Length of the next segment in instants.
@@ -145,10 +145,11 @@ typedef struct {
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
-/// The members with which a cycle addresses blocks, in one number.
+/// The members with which a cycle addresses blocks, in one number, and those that tell which arc is closing.
 #define ZYGOS_ACCUMULATOR_TWIN(self)                                                                                   \
-    ((self)->count ^ (self)->open ^ (self)->fresh ^ (self)->ready ^ (self)->task ^ (self)->places ^                    \
-     (self)->buffer[0].places ^ (self)->buffer[1].places ^ (self)->buffer[2].places)
+    ((self)->count ^ (self)->open ^ (self)->fresh ^ (self)->ready ^ (self)->task ^ (self)->places ^ (self)->rank ^     \
+     (self)->parity ^ (self)->closing_instants ^ (self)->buffer[0].places ^ (self)->buffer[1].places ^                 \
+     (self)->buffer[2].places)
 
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
@@ -207,9 +208,10 @@ bool zygos_accumulator_rests(const zygos_accumulator_t *self);
 /// checksums of each block.
 void zygos_accumulator_forget(zygos_accumulator_t *self, double factor);
 
-/// Drops the open arc, and the blocks of closed arcs with cycles after the given one. A block in which such cycles were
-/// merged with older ones is dropped as a whole. Cost: at the most one pass over a block, and one over the noise of the
-/// open arc.
+/// Drops the open arc, the closing one and the blocks of closed arcs with cycles after the given one. A block in which
+/// such cycles were merged with older ones is dropped as a whole. An arc that is being admitted is admitted before, and
+/// its share of the noise is dropped in proportion. Cost: at the most one pass over a block, two over the noise of an
+/// arc, and one over the buffers.
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 
 /// Drops the blocks of closed arcs up to the given cycle, and their share of the noise. Returns the number of arcs,

@@ -104,7 +104,8 @@ void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_
 /// do not check it. Cost: a comparison for each block.
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config);
 
-/// Returns whether a cycle addresses nothing outside the struct, once the tables are verified. Cost: four comparisons.
+/// Returns whether a cycle addresses nothing outside the struct, once the tables are verified, and no arc waits without
+/// a task: the open arc and the closing one have not changed places. Cost: five comparisons.
 bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self);
 
 /// Clears the sums. Needs the tables.

@@ -78,7 +78,7 @@ typedef struct {
     size_t size;
 } region_t;
 
-#define REGIONS (16u + ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES)
+#define REGIONS (20u + ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES)
 #define BETWEEN(type, first, end)                                                                                      \
     {                                                                                                                  \
         offsetof(type, first), offsetof(type, end) - offsetof(type, first)                                             \
@@ -88,17 +88,23 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
 {
     static const region_t scalars[3] = { BETWEEN(zygos_accumulator_t, width, buffer),
                                          BETWEEN(zygos_motor_sums_t, count, open),
-                                         BETWEEN(zygos_momentum_sums_t, columns, noise_open) };
+                                         BETWEEN(zygos_momentum_sums_t, columns, noise_arc) };
     uint32_t n = 0;
     out[n++] = (region_t){ accumulator, scalars[0].size };
     out[n++] = (region_t){ joints + scalars[1].offset, scalars[1].size };
     out[n++] = (region_t){ momenta, scalars[2].size };
     out[n++] = (region_t){ joints, sizeof(zygos_impulse_column_map_t) };
-    out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, open.instants), 16 };
     for (uint32_t s = 0; s < 2; s++) {
+        out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, arc) + s * sizeof(zygos_momentum_block_t) +
+                                   offsetof(zygos_momentum_block_t, instants),
+                               24 };
+    }
+    out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, closing.total), 24 };
+    out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, order), ZYGOS_ORDER_PLACES };
+    for (uint32_t s = 0; s < ZYGOS_ROW_BUFFERS; s++) {
         out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, buffer) + s * sizeof(zygos_row_buffer_t) +
                                    offsetof(zygos_row_buffer_t, instants),
-                               8 };
+                               40 };
     }
     for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
         out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, block) + b * sizeof(zygos_block_t) +
@@ -141,7 +147,7 @@ static uint32_t regions_of_work(region_t *out)
     return n;
 }
 
-/* One to three bits, words or numbers, or the same number in neighbouring blocks. */
+/* One to three bits, words or numbers, or the same number in neighbouring blocks; of size 0: in the regions only. */
 static void change(void *memory, size_t size, const region_t *region, uint32_t regions)
 {
     static const uint32_t words[] = { 0, 1,  2,           3,           4,           7,           8,
@@ -163,7 +169,7 @@ static void change(void *memory, size_t size, const region_t *region, uint32_t r
     for (uint32_t times = 1u + below(3); times > 0; times--) {
         const region_t at = region[below(regions)];
         const uint32_t kind = below(8);
-        if (kind == 0) {
+        if ((kind == 0) && (size > 0)) {
             bytes[(size_t)draw() % size] ^= (unsigned char)(1u << below(8));
         } else if (kind == 1) {
             bytes[at.offset + (size_t)draw() % at.size] ^= (unsigned char)(1u << below(8));
@@ -177,32 +183,44 @@ static void change(void *memory, size_t size, const region_t *region, uint32_t r
 }
 
 /* Whoever can change a state can seal it, too: what lies behind the seals must hold by itself. */
-static void forge(zygos_accumulator_t *sums, zygos_motor_sums_t *joints, zygos_momentum_sums_t *momenta)
+static void forge_energy(zygos_accumulator_t *sums)
 {
-    const double lengths[2] = { sums->enough, sums->target };
-    const uint32_t places[6] = { sums->width, sums->count, sums->open, sums->newest, sums->window, sums->arcs };
+    enum { MEMBERS = 11, PLACES = ZYGOS_ORDER_PLACES / 8 };
     const uint32_t width = (sums->width < (uint32_t)ZYGOS_MAX_ROW) ? sums->width : (uint32_t)ZYGOS_MAX_ROW;
-    sums->checksum = zygos_checksum_doubles(1u, lengths, 2);
-    for (uint32_t i = 0; i < 6; i++) {
-        sums->checksum = zygos_checksum_number(sums->checksum, places[i]);
-    }
+    uint64_t word[MEMBERS + PLACES] = { 0,           0,           sums->width,  sums->count,
+                                        sums->open,  sums->fresh, sums->newest, sums->window,
+                                        sums->ready, sums->arcs };
+    memcpy(&word[0], &sums->enough, sizeof word[0]);
+    memcpy(&word[1], &sums->target, sizeof word[0]);
+    memcpy(&word[10], &sums->noise_fade, sizeof word[0]);
+    memcpy(&word[MEMBERS], sums->order, sizeof sums->order);
+    sums->checksum = zygos_checksum_words(0, word, MEMBERS + PLACES);
+    sums->twin = ZYGOS_ACCUMULATOR_TWIN(sums);
     for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
         zygos_block_t *block = &sums->block[b];
-        const double weights[3] = { block->instants, block->square, block->overlap };
+        const double weights[4] = { block->instants, block->square, block->overlap, block->fade };
         const uint64_t checksum =
-            zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 3);
+            zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 4);
         block->checksum = (block->checksum == 0) ? 0u : zygos_checksum_number(checksum, block->end);
     }
+}
+
+static void forge(zygos_accumulator_t *sums, zygos_motor_sums_t *joints, zygos_momentum_sums_t *momenta)
+{
+    forge_energy(sums);
     joints->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, &joints->target, 1), joints->count);
     for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
         zygos_motor_block_t *block = &joints->block[b];
+        const double numbers[2] = { block->total, block->fade };
         const uint64_t checksum = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
-        block->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, &block->total, 1), block->end);
+        block->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, numbers, 2), block->end);
     }
-    momenta->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, &momenta->target, 1), momenta->count);
+    const double lengths[2] = { momenta->target, momenta->noise_fade };
+    momenta->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, lengths, 2), momenta->count);
     for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
         zygos_momentum_block_t *block = &momenta->block[b];
-        block->checksum = zygos_checksum_number(zygos_checksum_doubles(1u, &block->instants, 1), block->end);
+        const double numbers[2] = { block->instants, block->fade };
+        block->checksum = zygos_checksum_number(zygos_checksum_doubles(1u, numbers, 2), block->end);
     }
 }
 
@@ -215,6 +233,19 @@ static void store_states(const zygos_config_t *config)
         cycle += CYCLES_BETWEEN;
         good[k] = arm;
         good_cycle[k] = cycle;
+    }
+}
+
+/* Memory of the sums that changes in flight, between two cycles, and is verified now and then. */
+static void fly_on(uint64_t from, uint64_t cycles, const region_t *region, uint32_t regions,
+                   const zygos_config_t *config)
+{
+    change(&arm, 0, region, regions);
+    run(from, cycles);
+    if (below(2) == 0) {
+        change(&arm, 0, region, regions);
+        check(zygos_scrub(&arm, config) >= 0, "not scrubbed");
+        run(from + cycles, cycles);
     }
 }
 
@@ -249,9 +280,12 @@ int main(int count, char **argument)
 
     static region_t of_state[REGIONS];
     static region_t of_work[REGIONS];
+    static region_t of_sums[REGIONS];
     const region_t of_config = { 0, sizeof(zygos_config_t) };
     const uint32_t state_regions = regions_of_state(of_state);
     const uint32_t work_regions = regions_of_work(of_work);
+    const uint32_t sums_regions = regions_of_sums(of_sums, offsetof(zygos_t, accumulator),
+                                                  offsetof(zygos_t, motor_sums), offsetof(zygos_t, momentum_sums));
     uint64_t refused_state = 0;
     uint64_t refused_otherwise = 0;
     uint64_t resumed = 0;
@@ -281,6 +315,9 @@ int main(int count, char **argument)
             values += (solve() == 1) ? 1u : 0u;
             corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
         }
+        arm = good[from];
+        fly_on(good_cycle[from], (k % 8u == 0) ? 150u : 25u, of_sums, sums_regions, &config);
+        (void)solve();
         zygos_config_t wild = config;
         change(&wild, sizeof wild, &of_config, 1);
         if (zygos_init(&arm, &wild) == 1) {

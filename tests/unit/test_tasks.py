@@ -1,0 +1,302 @@
+"""What proceeds beside the cycles gives what it would have given at once, whatever comes between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from flight_support import part
+from numpy.typing import NDArray
+from soak_support import again, resealed, stored, with_all_rows
+
+from zygos.arm import Arm
+from zygos.model.model import Model
+from zygos.native.flight import Flight, cycles_to_native, ffi, lib
+from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
+from zygos.simulation.scenario import Scenario
+
+Floats = NDArray[np.float64]
+
+ADMIT, MOMENTUM_ADMIT = 6, 5
+ARCS = 40
+SEEDS = 40
+
+
+@pytest.fixture(scope="module")
+def motion(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
+    """A minute without noise."""
+    return stored(arm, model, scenario)
+
+
+def settle(flight: Flight) -> None:
+    """Finishes every task."""
+    guard, config, columns, energy, motors, momentum = (
+        ffi.addressof(flight.native, name)
+        for name in ("guard", "config", "column_map", "accumulator", "motor_sums", "momentum_sums")
+    )
+    lib.zygos_guard_settle_energy(guard, config, energy)
+    lib.zygos_guard_settle_motors(guard, config, columns, motors)
+    lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
+
+
+def of(array: Any, entries: int) -> Floats:
+    return np.frombuffer(ffi.buffer(array), dtype=np.float64)[:entries].copy()
+
+
+def sums(flight: Flight) -> dict[str, Floats]:
+    """The sums of closed arcs of each kind and of their noise, whatever the blocks are; all that fades has faded."""
+    state, work = flight.native, ffi.new("zygos_work_t *")
+    lib.zygos_take(state, work)
+    assert lib.zygos_work_settle(work)
+    energy, motors, momentum = work.accumulator, work.motor_sums, work.momentum_sums
+    inner = (energy.width - 1) * energy.width // 2
+    closed = (energy.block[place] for place in energy.order[0 : energy.open])
+    out = {
+        "energy": state.forgetting * sum((block.fade * of(block.gram, inner) for block in closed), np.zeros(inner)),
+        "noise": state.forgetting * energy.noise_fade * of(energy.noise_closed.gram, inner),
+    }
+    for i in range(flight.arm.n):
+        width = motors.column_map.count[i] + 1
+        blocks = motors.block[0 : motors.count]
+        entries = width * (width + 1) // 2
+        grams = (block.fade * of(block.joint[i].gram, entries) for block in blocks)
+        out[f"motor {i}"] = state.motors_forgetting * sum(grams, np.zeros(entries))
+    entries = momentum.columns * (momentum.columns + 1) // 2
+    grams = (block.fade * of(block.rows.gram, entries) for block in momentum.block[0 : momentum.count])
+    out["momentum"] = state.momentum_forgetting * sum(grams, np.zeros(entries))
+    out["momentum noise"] = state.momentum_forgetting * momentum.noise_fade * of(momentum.noise_closed.gram, entries)
+    return out
+
+
+def counters(flight: Flight) -> dict[str, Any]:
+    work = ffi.new("zygos_work_t *")
+    lib.zygos_take(flight.native, work)
+    assert lib.zygos_work_settle(work)
+    energy, motors, momentum = work.accumulator, work.motor_sums, work.momentum_sums
+    kinds = (energy, motors, momentum)
+    return {
+        "accepted": energy.accepted,
+        "refused": energy.refused,
+        "arcs": energy.arcs,
+        "arcs_dropped": energy.arcs_dropped,
+        "left_out": list(work.guard.left_out),
+        "quarantined": [kind.quarantined for kind in kinds],
+        "corrupt": [kind.corrupt for kind in kinds],
+    }
+
+
+def pieces(arm: Arm, motion: Cycles, rng: np.random.Generator, voids: bool) -> Iterator[Cycles]:
+    """Arcs of all lengths, broken off and interrupted."""
+    cycle, at = 1, 0
+    kinds = [(1, 15), (12, 45), (12, 45), (40, 120), (100, 600)]
+    for _ in range(ARCS):
+        n = int(rng.integers(*kinds[rng.integers(len(kinds))]))
+        index = (at + np.arange(n)) % len(motion)
+        noisy = again(arm, motion, 1, rng)
+        at = int(index[-1]) + 1
+        how = ["gap", "break", "goes on", "losses", "void" if voids else "gap"][rng.integers(5)]
+        sync = np.arange(cycle, cycle + n, dtype=np.uint64)
+        sync += np.uint64(rng.integers(1, 5) if how == "gap" else 0)
+        if how == "losses":
+            sync += np.cumsum(rng.random(n) < 0.02).astype(np.uint64)
+        flags = np.zeros(n, dtype=np.uint32)
+        if how == "break":
+            flags[0] = BREAK_BEFORE
+        if how == "void":
+            flags[0] = VOID_BEFORE | int(rng.integers(1, 200)) << VOID_SHIFT
+        cycle = int(sync[-1]) + 1
+        chosen = Cycles(*(getattr(noisy, name)[index] for name in Cycles.__dataclass_fields__))
+        yield replace(chosen, sync=sync, flags=flags)
+
+
+def drawn(arm: Arm, rng: np.random.Generator) -> tuple[Arm, float]:
+    """Arcs so short that tasks meet, and a factor of forgetting."""
+
+    def one(*of_these: float) -> float:
+        return of_these[rng.integers(len(of_these))]
+
+    changed = replace(
+        arm,
+        arc_max_s=arm.period_s * one(60, 150, 400, 1000),
+        impulse_arc_s=arm.period_s * one(0, 20, 60, 150),
+        momentum_max_s=arm.period_s * one(0, 25, 70, 200),
+        compensate_every=int(one(0, 1, 5)),
+    )
+    return changed, one(1.0, 1.0, 0.9999, 0.999)
+
+
+def same(found: dict[str, Floats], expected: dict[str, Floats]) -> None:
+    """To rounding, in units of the columns' lengths."""
+    for name, gram in expected.items():
+        width = int(np.sqrt(2 * len(gram)))
+        rows, columns = np.tril_indices(width)
+        length = np.sqrt(np.abs(gram[rows == columns]))
+        length = np.maximum(length, 1e-7 * np.max(length, initial=0.0)) + 1e-150
+        off = np.abs(found[name] - gram) / (length[rows] * length[columns])
+        assert np.max(off, initial=0.0) < 1e-9, name
+
+
+def scrubbed(flight: Flight) -> int:
+    config = ffi.new("zygos_config_t *", flight.native.config)
+    return int(lib.zygos_scrub(flight.native, config))
+
+
+def resumed(flight: Flight) -> int:
+    config = ffi.new("zygos_config_t *", flight.native.config)
+    return int(lib.zygos_resume(flight.native, config))
+
+
+@pytest.mark.parametrize("first", range(0, SEEDS, 10))
+def test_sums_and_counters_are_those_of_an_arm_that_waits_for_its_tasks(arm: Arm, motion: Cycles, first: int) -> None:
+    """One finishes its tasks after each cycle, the other one never waits."""
+    for seed in range(first, first + 10):
+        rng = np.random.default_rng(seed)
+        short, keep = drawn(arm, rng)
+        flights = [Flight(short), Flight(short)]
+        for flight in flights:
+            config = ffi.new("zygos_config_t *", flight.native.config)
+            config.forgetting_factor = keep
+            assert lib.zygos_init(flight.native, config) == 1
+        busy, waiting = flights
+        for cycles in pieces(short, motion, rng, voids=False):
+            busy.cycles(cycles)
+            native = cycles_to_native(cycles)
+            for k in range(len(cycles)):
+                lib.zygos_cycle(waiting.native, native + k)
+                settle(waiting)
+            between = rng.integers(20)
+            if between == 0:
+                assert [scrubbed(flight) for flight in flights] == [0, 0]
+            elif between == 1:
+                assert [resumed(flight) for flight in flights] == [1, 1]
+            assert counters(busy) == counters(waiting), seed
+            same(sums(busy), sums(waiting))
+
+
+def intact(flight: Flight) -> bool:
+    config, work = ffi.new("zygos_config_t *", flight.native.config), ffi.new("zygos_work_t *")
+    return bool(lib.zygos_check(flight.native, config, work) == 1)
+
+
+@pytest.mark.parametrize("first", range(0, SEEDS, 10))
+def test_arcs_that_are_dropped_amid_tasks_leave_the_sums_whole(arm: Arm, motion: Cycles, first: int) -> None:
+    for seed in range(first, first + 10):
+        rng = np.random.default_rng(seed)
+        flight = Flight(drawn(arm, rng)[0])
+        for cycles in pieces(flight.arm, motion, rng, voids=True):
+            flight.cycles(cycles)
+            assert intact(flight), seed
+
+
+@pytest.mark.parametrize(("kind", "task"), [("accumulator", ADMIT), ("momentum_sums", MOMENTUM_ADMIT)])
+def test_an_arc_that_is_void_while_it_is_admitted_leaves_no_noise(
+    arm: Arm, motion: Cycles, kind: str, task: int
+) -> None:
+    """What of its noise is in that of closed arcs goes with it."""
+    short = replace(with_all_rows(arm), arc_max_s=4.0, impulse_arc_s=0.0, momentum_max_s=5.0, compensate_every=1)
+    flight = Flight(short)
+    cycles = again(short, motion, 1, np.random.default_rng(0))
+    found = 0
+    for k in range(len(cycles)):
+        one = part(cycles, k, k + 1)
+        state = getattr(flight.native, kind)
+        if state.task == task and state.row > 0:
+            copy = Flight(short)
+            ffi.memmove(copy.native, flight.native, ffi.sizeof("zygos_t"))
+            one.flags[0] = VOID_BEFORE | 200 << VOID_SHIFT
+            copy.cycles(one)
+            assert intact(copy), k
+            one.flags[0] = 0
+            found += 1
+        flight.cycles(one)
+    assert found > 5
+
+
+def of_closed_arcs(arm: Arm, motion: Cycles) -> Flight:
+    """A flight whose second arc is closing."""
+    short = replace(arm, arc_max_s=10.0, impulse_arc_s=0.0, momentum_max_s=0.0)
+    flight = Flight(short)
+    cycles = again(short, motion, 1, np.random.default_rng(0))
+    for k in range(len(cycles)):
+        flight.cycles(part(cycles, k, k + 1))
+        energy = flight.native.accumulator
+        if energy.open > 1 and energy.fresh > energy.open and energy.rank == energy.open + 1:
+            return flight
+    raise AssertionError
+
+
+@pytest.mark.parametrize("bit", [0, 1, 4, 31])
+@pytest.mark.parametrize("name", ["rank", "closing_instants", "parity"])
+def test_which_arc_is_closing_and_how_far_it_is_has_a_twin(arm: Arm, motion: Cycles, name: str, bit: int) -> None:
+    """No block of closed arcs is centred again, and none is admitted as it is: both arcs are given up."""
+    flight = of_closed_arcs(arm, motion)
+    closed = flight.native.accumulator.open
+    cycles = part(again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(1)), 0, 1)
+    native = cycles_to_native(cycles)
+    setattr(flight.native.accumulator, name, getattr(flight.native.accumulator, name) ^ 1 << bit)
+    assert lib.zygos_cycle(flight.native, native) == lib.ZYGOS_E_STATE
+    assert scrubbed(flight) > 0
+    energy = flight.native.accumulator
+    assert (energy.open, energy.fresh, energy.count) == (closed, closed, closed)
+    assert lib.zygos_cycle(flight.native, native) == 1
+    assert intact(flight)
+
+
+def test_the_two_arcs_of_momentum_rows_do_not_change_places(arm: Arm, motion: Cycles) -> None:
+    """An arc that waits without a task is the open one, whose rows another arc would take for its own."""
+    flight = Flight(with_all_rows(arm))
+    flight.cycles(part(motion, 0, 100))
+    native = cycles_to_native(part(motion, 100, 101))
+    assert flight.native.momentum_sums.task == 0
+    flight.native.momentum_sums.parity ^= 1
+    assert lib.zygos_cycle(flight.native, native) == lib.ZYGOS_E_STATE
+    assert scrubbed(flight) == lib.ZYGOS_SCRUBBED_PLACES | lib.ZYGOS_SCRUBBED_BLOCKS
+    assert lib.zygos_cycle(flight.native, native) == 1
+    assert intact(flight)
+
+
+@pytest.mark.parametrize("name", ["mean", "closing_end"])
+def test_an_arc_that_is_centred_with_changed_means_is_left_out(arm: Arm, motion: Cycles, name: str) -> None:
+    flight, expected = of_closed_arcs(arm, motion), of_closed_arcs(arm, motion)
+    lib.zygos_accumulator_drop_after(ffi.addressof(expected.native, "accumulator"), 200)
+    before = sums(expected)
+    energy = flight.native.accumulator
+    if name == "mean":
+        image = ffi.cast("uint64_t *", energy.mean)
+        image[2] ^= 1 << 40
+    else:
+        energy.closing_end ^= 1
+    settle(flight)
+    assert energy.quarantined == 1
+    assert energy.fresh == energy.open
+    for kind in ("energy", "noise"):
+        np.testing.assert_array_equal(sums(flight)[kind], before[kind])
+    assert scrubbed(flight) == lib.ZYGOS_SCRUBBED_BLOCKS
+
+
+def test_blocks_that_cannot_merge_are_given_up(arm: Arm) -> None:
+    """Changed numbers of instants, and all blocks in use: an arc that begins finds its two blocks nevertheless."""
+    flight = Flight(arm)
+    energy = flight.native.accumulator
+    most = len(energy.block)
+    for r in range(most):
+        energy.block[r].instants = 1e300
+    energy.count = energy.open = energy.fresh = most - 1
+    energy.ready = 1
+    energy.checksum = resealed(energy)
+    row = ffi.new("zygos_row_t *")
+    lib.zygos_accumulator_add(ffi.addressof(energy), row, 1.0)
+    assert (energy.corrupt, energy.open, energy.fresh, energy.count, energy.ready) == (1, 0, 0, 2, 0)
+    assert sorted(energy.order[0:most]) == list(range(most))
+
+
+def test_an_arc_is_admitted_once(arm: Arm) -> None:
+    """Whatever the flag of its admission is."""
+    flight = Flight(with_all_rows(arm))
+    momentum = flight.native.momentum_sums
+    momentum.task, momentum.admitted = MOMENTUM_ADMIT, 100
+    settle(flight)
+    assert (momentum.count, momentum.corrupt) == (1, 0)
