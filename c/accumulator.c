@@ -415,11 +415,12 @@ static uint32_t pair_to_merge(zygos_accumulator_t *self)
 /* Whether all rows of the closing arc are in its blocks. */
 static bool is_shared_out(const zygos_accumulator_t *self)
 {
-    bool all = true;
+    uint32_t waiting = 0; /* counted without branches: the cost is the same whichever buffer waits */
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        all = all && ((self->buffer[b].parity == self->parity) || (self->buffer[b].shared >= ZYGOS_BUFFER_ROWS));
+        waiting += (uint32_t)(self->buffer[b].parity != self->parity) *
+                   (uint32_t)(self->buffer[b].shared < ZYGOS_BUFFER_ROWS);
     }
-    return all;
+    return waiting == 0;
 }
 
 /* Of what all blocks of the closing arc are centred with, for as long as that takes. */

@@ -50,14 +50,20 @@ typedef struct {
     uint32_t energy_task, motor_task, momentum_task;
 } place_t;
 
-/* The part of a task that a cycle does, and how many buffers wait beside it. */
+/* The part of a task that a cycle does, or what decides which one begins, and how many buffers wait beside it. */
 static uint32_t energy_task(const zygos_accumulator_t *sums)
 {
     uint32_t waiting = 0;
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         waiting += (sums->buffer[b].shared < (uint32_t)ZYGOS_BUFFER_ROWS) ? 1u : 0u;
     }
-    return (waiting << 24u) | (sums->task << 16u) | sums->row;
+    const uint32_t unused = (uint32_t)ZYGOS_MAX_BLOCKS - sums->count;
+    const uint32_t closing = zygos_accumulator_closing(sums) ? 1u : 0u;
+    const uint32_t noise = ((closing == 1u) && (sums->rank >= sums->fresh)) ? 1u : 0u;
+    const uint32_t lacking = (unused < ZYGOS_SPARE_BLOCKS) ? 1u : 0u;
+    const uint32_t dirty = (unused > sums->ready) ? 1u : 0u;
+    return (waiting << 24u) | (sums->task << 16u) | (closing << 15u) | (noise << 14u) | (lacking << 13u) |
+           (dirty << 12u) | sums->row;
 }
 
 /* What counts instructions sees this call behind each cycle. */

@@ -56,7 +56,7 @@ def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, n
     """All frames in, the row accumulated; the mean of ordinary cycles, wherever they stand."""
     count = counted(target, name, 750)
     mean = float(count.stage(TOGETHER)[count.ordinary()].mean())
-    assert count.ordinary().sum() > 600
+    assert count.ordinary().sum() > 500
     assert mean <= tables.HELD[target, name], f"where it goes: {profile(count)}"
     # a product and a sum for each entry of the normal equations, two at a time at the most
     entries = (count.sizes["parameters"] + 2) * (count.sizes["parameters"] + 3) / 2
@@ -81,7 +81,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
     stepped = [stage for stage in RELEVANT if stage not in ("wire", "cycle", "frame")] + ["step"]
     spreads = {stage: spread_by_data(count, stage) for stage in stepped}
     assert spreads == dict.fromkeys(stepped, 0)
-    assert spread_by_data(count, "frame") <= 2, "SYNC numbers wrap, and FTIME ends silences"
+    assert spread_by_data(count, "frame") <= 8, "SYNC numbers wrap or jump, and FTIME ends silences"
     # the places that excuse a difference are few beside the cycles that are compared
     for stage, relevant in RELEVANT.items():
         places = count.places[chosen][:, [PLACES.index(one) for one in relevant]]
@@ -97,7 +97,7 @@ def test_no_cycle_costs_much_more_than_the_others(counted: Counter, target: str,
     count = counted(target, name, 750)
     cycles, early = count.stage(TOGETHER), count.early()
     assert cycles[~early].max() <= tables.FLAT * cycles[count.ordinary()].mean()
-    assert early.any() or not CONFIGURATIONS[name]().energy
+    assert early.any() or not name.startswith("spatial")
 
 
 @pytest.mark.slow
