@@ -103,7 +103,8 @@ def test_a_name_without_a_sign_is_left_out_beside_one_that_has_it(
     explainer = module._Explainer(MODEL, runs, (), lambda *_: None, ())
 
     def told(search: Search) -> module._Told:
-        findings = tuple(own[one.name] for one in search.named)
+        # by itself either effect looks certain, also one of two that only make up for each other
+        findings = tuple(own[one.name] for one in search.named) if len(search.named) > 1 else (SURE,)
         share = replace(search, completeness=(0.9, 0.9))
         return module._Told(search, None, findings, (), explainer._how_much(share, findings, None))
 
