@@ -726,7 +726,10 @@ class _Explainer:
         begun = [study.layout.find(name) for name in change.names if name in listed]
         # errors of sensors that were found without the change stood for it
         kept = replace(layout, own=(*layout.own, *begun), loose=())
-        plain = replace(study, records=self.measured, hypothesis=replace(study.hypothesis, layout=kept))
+        applied = np.zeros_like(study.applied)
+        plain = replace(
+            study, records=self.measured, applied=applied, hypothesis=replace(study.hypothesis, layout=kept)
+        )
         try:
             apart = settled(plain, change, SMALL)
         except (Undecided, ZygosError):
