@@ -7,6 +7,7 @@ instant between two arcs is one small solve.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from zygos.errors import Undecided
 from zygos.gap.balances import balance_rows, kept_rows, thinning
+from zygos.gap.fit import Hypothesis
 from zygos.gap.search import EXCESS
-from zygos.gap.study import Study, again, base_values, part_of
+from zygos.gap.study import FEW, Study, again, base_values, part_of
 
 Array = NDArray[np.float64]
 
@@ -26,7 +28,7 @@ CERTAIN = 6.0
 _STEP = 0.5
 """Share of what an effect with a beginning takes away that the same effect without one must leave."""
 _FAR = 2.0
-"""Multiple of what a balance may leave over from which on no twin of its own is made."""
+"""Multiple of what a balance may leave over from which on more draws of its twin say nothing else."""
 _TAKES = 0.6
 """Share of what is left over beyond noise that a change must take away."""
 
@@ -69,40 +71,64 @@ def settled(study: Study, change: Change, allowed: float) -> tuple[Change, Study
     that of what was recorded before it where that is enough. None where a balance after it leaves more than `allowed`
     times what its twin does: what is left over is no matter of time.
 
+    The arc with which it is first seen, and the one before it, may hold the instant: each is left out where something
+    is left over with it.
     Errors: Undecided where too little was recorded after it.
     """
     hypothesis = study.hypothesis
     added = [name for name in change.names if name not in hypothesis.names]
     wider = replace(hypothesis, effects=(*hypothesis.effects, *added))
-    now = part_of(study, _arcs_of(study, change, after=True), wider)
-    # a twin of its own changes little
-    if np.nanmax(now.excess) > _FAR * allowed:
-        return None
-    now = again(now, wider)
-    if np.nanmax(now.excess) > allowed:
+    if change.what == BODIES and not change.between:
+        # what is taken up brings its own momentum, and what is left takes some away
+        wider = replace(wider, momentum=None)
+    spares = (0,) if change.between else (0, 1)
+    now = _closed(study, wider, [_after(study, change, spared) for spared in spares], allowed)
+    if now is None:
         return None
     places = [wider.names.index(name) for name in change.names]
     old, sigma = change.old, now.spread[places]
     was: Study | None = None
-    try:
-        was = again(part_of(study, _arcs_of(study, change, after=False), hypothesis), hypothesis)
-    except Undecided:
-        pass
-    else:
+    parts = [_before(study, change, spared) for spared in spares]
+    with suppress(Undecided):
+        was = _closed(study, hypothesis, parts, allowed) or again(part_of(study, parts[0], hypothesis), hypothesis)
+    if was is not None:
         known = [hypothesis.names.index(n) if n in hypothesis.names else None for n in change.names]
         old = np.array([0.0 if k is None else was.value[k] for k in known])
         sigma = np.hypot(sigma, [0.0 if k is None else was.spread[k] for k in known])
     return replace(change, old=old, new=now.value[places], sigma=sigma), now, was
 
 
-def _arcs_of(study: Study, change: Change, *, after: bool) -> list[slice]:
-    """The arcs of each run before or after a change; the arc in which it may have happened is in neither, if it is not
-    one that ends with a run."""
-    none, every = slice(0, 0), slice(None)
-    runs = range(len(study.records))
-    if after:
-        return [slice(change.arc, None) if k == change.run else every if k > change.run else none for k in runs]
-    return [slice(change.arc) if k == change.run else every if k < change.run else none for k in runs]
+def _closed(study: Study, hypothesis: Hypothesis, parts: Sequence[list[slice]], allowed: float) -> Study | None:
+    """The study of the first of these parts of the runs of which no balance leaves more than `allowed` times what its
+    twin does; None where each does. Errors: Undecided where the first does not tell the coefficients apart."""
+    for number, arcs in enumerate(parts):
+        try:
+            # the twins that are there are of an arm that is neither the one before nor the one after
+            few = again(part_of(study, arcs, hypothesis), hypothesis, FEW)
+            if np.nanmax(few.excess) > _FAR * allowed:
+                continue
+            found = again(few, hypothesis)
+        except Undecided:
+            if number == 0:
+                raise
+            continue
+        if np.nanmax(found.excess) <= allowed:
+            return found
+    return None
+
+
+def _after(study: Study, change: Change, spared: int) -> list[slice]:
+    """The arcs of each run after a change, but so many of the first."""
+    none, every, runs = slice(0, 0), slice(None), range(len(study.records))
+    own = slice(change.arc + spared, None)
+    return [own if k == change.run else every if k > change.run else none for k in runs]
+
+
+def _before(study: Study, change: Change, spared: int) -> list[slice]:
+    """The arcs of each run before a change, but so many of the last."""
+    none, every, runs = slice(0, 0), slice(None), range(len(study.records))
+    own = slice(max(change.arc - spared, 0))
+    return [own if k == change.run else every if k < change.run else none for k in runs]
 
 
 @dataclass(frozen=True)

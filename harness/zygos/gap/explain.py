@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,7 @@ from zygos.gap.search import (
     possible,
     rivals,
     search,
+    struck,
     unsteady,
     widened,
     with_rivals,
@@ -150,6 +152,16 @@ def explain(
         return _Explainer(simulation, tuple(measured), tuple(validate), step, tuple(without)).explain()
 
 
+class _Told(NamedTuple):
+    """A search, and what follows from it."""
+
+    found: Search | None
+    gap: Gap | None
+    findings: tuple[Finding, ...]
+    values: tuple[Value, ...]
+    verdict: Verdict
+
+
 class _Explainer:
     def __init__(
         self,
@@ -182,13 +194,13 @@ class _Explainer:
         deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
         flexible = [d for d in deflections if d.rms_rad > _DEFLECTED * d.noise_rad]
         skewed = [d for d in flexible if d.skew_share > _SKEWED]
-        findings: list[Finding] = []
+        parted: tuple[Finding, ...] = ()
         found: Search | None = None
         basis = refit
         if flexible and not skewed:
             self.step(0.25, "the joints' flexibility")
             basis = self._flexible(refit, [d.joint for d in flexible])
-            findings += [self._flexibility(basis, d) for d in flexible]
+            parted = tuple(self._flexibility(basis, d) for d in flexible)
         gap: Gap | None = None
         changed: Changed | None = None
         if not skewed:
@@ -198,21 +210,19 @@ class _Explainer:
                 if better is not None:
                     refit, found, gap = better
                     basis, arm, layout = refit, self.arm, Layout(self.arm)
-            if changed is None:
-                findings += [self._gain(found, name) for name in self.gains]
-            findings += [self._finding(found, k) for k in range(len(found.named))]
-        after = basis if found is None else found.after
         if skewed:
-            gap = self._gap(delivered, refit, after, found)
+            gap = self._gap(delivered, refit, basis, found)
+
+        def told(search: Search | None, gap: Gap | None) -> _Told:
+            return self._told(refit, basis, search, gap, changed, parted, skewed)
+
+        first = told(found, gap)
+        answer = self._with_fewer_names(first, lambda less: told(less, self._gap(delivered, refit, less.after, less)))
+        found, gap, _, values, verdict = answer
+        after = basis if found is None else found.after
         if gap is not None and gap.closed.median > 1.1 * gap.delivered.median:
             self.remarks.append(DrawingPredictsBetter())
         self.step(0.9, "verdict")
-        values = self._values(after)
-        verdict = (
-            changed
-            or self._sensors_first(refit, after, findings, skewed)
-            or self._judge(found, tuple(findings), values, gap)
-        )
         local = refit.local()
         experiments: tuple[Experiment, ...] = ()
         if isinstance(verdict, Inseparable) and found is not None:
@@ -239,6 +249,51 @@ class _Explainer:
             tuple(self.remarks),
             self.validate,
         )
+
+    def _told(
+        self,
+        refit: Study,
+        basis: Study,
+        found: Search | None,
+        gap: Gap | None,
+        changed: Changed | None,
+        parted: tuple[Finding, ...],
+        skewed: Sequence[Deflection],
+    ) -> _Told:
+        """What follows from a search, which there is unless encoders are skewed. parted: joints that are not rigid."""
+        findings, after = list(parted), basis
+        if found is not None:
+            after = found.after
+            if changed is None:
+                findings += [self._gain(found, name) for name in self.gains]
+            findings += [self._finding(found, k) for k in range(len(found.named))]
+        values = self._values(after)
+        verdict = (
+            changed
+            or self._sensors_first(refit, after, findings, skewed)
+            or self._judge(found, tuple(findings), values, gap)
+        )
+        return _Told(found, gap, tuple(findings), values, verdict)
+
+    def _with_fewer_names(self, told: _Told, judged: Callable[[Search], _Told]) -> _Told:
+        """The answer without names of which not even the sign is certain, the least certain one left out first, where
+        that of another is certain and the others are an answer. judged: what follows from a search with fewer names."""
+        now, remarks = told, list(self.remarks)
+        while isinstance(now.verdict, Unexplained) and now.found is not None and len(now.found.named) > 1:
+            found, own = now.found, now.findings[-len(now.found.named) :]
+            unsigned = [k for k, finding in enumerate(own) if finding in now.verdict.unsigned]
+            # where no name is certain, they make up for each other, and one of them would be as wrong
+            if not unsigned or len(unsigned) == len(own):
+                break
+            least = max(unsigned, key=lambda k: own[k].sigma / max(abs(own[k].value), 1e-300))
+            try:
+                now = judged(struck(found, found.named[least]))
+            except Undecided:
+                break
+        if isinstance(now.verdict, Lacking | PartNamed):
+            return now
+        self.remarks = remarks
+        return told
 
     def _refit(self) -> Study:
         """The simulation's own equations, fitted. What the arm file does not say of its torques' noise, the runs do."""
@@ -644,6 +699,11 @@ class _Explainer:
         apart = _explains_more_apart(found)
         if apart is not None:
             return Unexplained(most, (apart.name,), apart.complete, ())
+        unsigned = tuple(finding for finding in findings if not finding.signed)
+        if unsigned:
+            return Unexplained(
+                most, tuple(one.name for one in found.named), min(found.completeness), (), unsigned=unsigned
+            )
         return PartNamed(findings, remainders(self.arm, found.after, gap), apart_by)
 
     def _open(self, found: Search) -> bool:
@@ -666,7 +726,10 @@ class _Explainer:
         begun = [study.layout.find(name) for name in change.names if name in listed]
         # errors of sensors that were found without the change stood for it
         kept = replace(layout, own=(*layout.own, *begun), loose=())
-        plain = replace(study, records=self.measured, hypothesis=replace(study.hypothesis, layout=kept))
+        applied = np.zeros_like(study.applied)
+        plain = replace(
+            study, records=self.measured, applied=applied, hypothesis=replace(study.hypothesis, layout=kept)
+        )
         try:
             apart = settled(plain, change, SMALL)
         except (Undecided, ZygosError):

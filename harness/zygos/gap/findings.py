@@ -140,6 +140,12 @@ class Finding:
         """95 %."""
         return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
 
+    @property
+    def signed(self) -> bool:
+        """Whether its interval says in which direction it differs from what the simulation has in its place."""
+        low, high = self.interval
+        return not low <= (self.assumed or 0.0) <= high
+
 
 def undecided(findings: Sequence[Finding]) -> bool:
     """Whether some of the findings cannot be told from other effects."""

@@ -112,6 +112,8 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one se
         case Unexplained():
             guess = ", ".join(spoken(arm, column) for column in found.guess)
             share = f"; the best guess ({guess}) takes {100 * found.completeness:.0f} % of the excess away"
+            if found.unsigned:
+                share += f", but not even the sign is certain of {listed(found.unsigned)}"
             return (
                 f"Something is missing that the catalogue does not hold: {found.residual:.3g} times the residual of "
                 f"the null twin is left over{share if guess else ''}."

@@ -309,6 +309,8 @@ def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Stud
     Errors: Undecided where they do not tell the parameters apart.
     """
     kept = [k for k, own in enumerate(arcs) if len(study.records[k].starts[own])]
+    if not kept:
+        raise Undecided("no arc was recorded there")
     records, twins = [], []
     for k in kept:
         record, exact = study.records[k], study.twins[k].exact

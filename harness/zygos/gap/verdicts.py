@@ -145,6 +145,8 @@ class Unexplained:
     """What a part of it looks like; empty where the guess explains too little."""
     untouched: bool = True
     """Whether an untouched run shows it; else only the measured ones, which were fitted."""
+    unsigned: tuple[Finding, ...] = ()
+    """Of the guess, effects whose interval does not even contain one sign alone."""
 
 
 @dataclass(frozen=True)

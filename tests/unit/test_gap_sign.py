@@ -1,0 +1,126 @@
+"""What is named in part has a size whose sign is certain; what has not is left out, or the answer is unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from zygos.arm import load_arm
+from zygos.dynamics.equations import from_model
+from zygos.effects import CATALOGUE, Effect
+from zygos.gap import explain as module
+from zygos.gap.balances import Layout
+from zygos.gap.findings import Finding, Significance
+from zygos.gap.null import FLOOR, chance
+from zygos.gap.record import MeasuredRun, read_measured_run
+from zygos.gap.search import Search, candidates, struck
+from zygos.gap.sentences import verdict as said
+from zygos.gap.study import again, begin, read_hypothesis
+from zygos.gap.verdicts import Lacking, PartNamed, Unexplained, Verdict
+from zygos.model.model import load_model
+from zygos.native.flight import encode
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
+
+GAP = Path(__file__).parents[2] / "examples" / "gap"
+REAL, SPURIOUS = "motor_coulomb2", "motor_viscous1"
+ARM, MODEL = load_arm(GAP / "arm.toml"), load_model(GAP / "cad.toml")
+
+
+def finding(key: str, joint: str, value: float, sigma: float, assumed: float | None = None) -> Finding:
+    """An effect with an interval."""
+    return Finding(key, joint, value, sigma, "Nm", Significance(9.0, 0.9), assumed=assumed, entry=CATALOGUE[key])
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "assumed", "signed"),
+    [(1.0, 0.5, None, True), (1.0, 0.52, None, False), (-1.0, 0.5, None, True), (-1.0, 0.52, None, False),
+     (5.0, 0.5, 4.0, True), (5.0, 0.52, 4.0, False), (5.0, 2.0, 0.0, True)],
+)  # fmt: skip
+def test_the_interval_says_a_sign(value: float, sigma: float, assumed: float | None, signed: bool) -> None:
+    assert finding("angular_momentum", "elbow", value, sigma, assumed).signed == signed
+
+
+@pytest.fixture(scope="module")
+def runs() -> tuple[MeasuredRun, ...]:
+    """Coulomb friction at the elbow, in 5 s of each of two runs."""
+    plant = replace(MODEL, effects=(*MODEL.effects, Effect(CATALOGUE["motor_coulomb"], "elbow", 0.05)))
+    made = [
+        simulate(ARM, plant, load_scenario(GAP / f"{name}.toml"), seeds=[k], noise=True, duration_s=5.0,
+                 rtol=1e-9, atol=1e-11)
+        for k, name in enumerate("ab")
+    ]  # fmt: skip
+    return tuple(
+        read_measured_run(ARM, Path(f"{name}.blf"), encode(ARM, one.cycles()))
+        for name, one in zip("ab", made, strict=True)
+    )
+
+
+@pytest.fixture(scope="module")
+def found(runs: tuple[MeasuredRun, ...]) -> Search:
+    """A search that named the friction, and another effect beside it."""
+    before = begin(runs, read_hypothesis(Layout(ARM), MODEL), from_model(ARM, MODEL))
+    listed = {one.name: one for one in candidates(before, before, FLOOR)}
+    effects = (*before.hypothesis.effects, REAL, SPURIOUS)
+    after = again(before, replace(before.hypothesis, effects=effects))
+    names = (listed[REAL], listed[SPURIOUS])
+    return Search(before, after, names, ((),), (0.9, 0.9), ((REAL,), (SPURIOUS,)), chance(before, [REAL, SPURIOUS]))
+
+
+def judged(search: Search, findings: tuple[Finding, ...], runs: tuple[MeasuredRun, ...]) -> Verdict:
+    return module._Explainer(MODEL, runs, (), lambda *_: None, ())._how_much(search, findings, None)
+
+
+SURE = finding("motor_coulomb", "elbow", 0.05, 0.001)
+UNSURE = finding("motor_viscous", "shoulder", 0.02, 0.015)
+
+
+def test_a_part_is_named_only_where_its_sign_is_certain(found: Search, runs: tuple[MeasuredRun, ...]) -> None:
+    assert isinstance(judged(found, (SURE,), runs), PartNamed)
+    one = judged(found, (SURE, UNSURE), runs)
+    assert isinstance(one, Unexplained)
+    assert one.unsigned == (UNSURE,)
+    assert one.guess == (REAL, SPURIOUS)
+    text = said(ARM, one)
+    assert "not even the sign is certain of viscous friction at the motor (shoulder), 0.020 ± 0.029 Nm." in text
+    # where nothing is left over, the untouched run or the balances say that the law is this one
+    whole = replace(found, completeness=(0.99, 0.99))
+    assert isinstance(judged(whole, (SURE, UNSURE), runs), Lacking)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "left"),
+    [((SURE, UNSURE), (REAL,)),
+     ((replace(SURE, sigma=0.1), UNSURE), (REAL, SPURIOUS)),
+     ((SURE, replace(UNSURE, sigma=0.001)), (REAL, SPURIOUS))],
+)  # fmt: skip
+def test_a_name_without_a_sign_is_left_out_beside_one_that_has_it(
+    found: Search, runs: tuple[MeasuredRun, ...], sizes: tuple[Finding, ...], left: tuple[str, ...]
+) -> None:
+    own = dict(zip((REAL, SPURIOUS), sizes, strict=True))
+    explainer = module._Explainer(MODEL, runs, (), lambda *_: None, ())
+
+    def told(search: Search) -> module._Told:
+        # by itself either effect looks certain, also one of two that only make up for each other
+        findings = tuple(own[one.name] for one in search.named) if len(search.named) > 1 else (SURE,)
+        share = replace(search, completeness=(0.9, 0.9))
+        return module._Told(search, None, findings, (), explainer._how_much(share, findings, None))
+
+    answer = explainer._with_fewer_names(told(found), told)
+    assert answer.found is not None
+    assert tuple(one.name for one in answer.found.named) == left
+    assert answer.found.after.hypothesis.effects[-len(left) :] == left
+    assert isinstance(answer.verdict, PartNamed) == all(one.signed for one in answer.findings)
+
+
+def test_a_name_is_struck_with_all_that_stood_beside_it(found: Search) -> None:
+    less = struck(found, found.named[1])
+    assert [one.name for one in less.named] == [REAL]
+    assert less.sets == ((REAL,),)
+    assert min(less.completeness) > 0.99
+    assert SPURIOUS not in less.after.hypothesis.names
+    without = struck(found, found.named[0])
+    assert [one.name for one in without.named] == [SPURIOUS]
+    assert max(without.completeness) < 0.1
