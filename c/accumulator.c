@@ -417,8 +417,8 @@ static bool is_shared_out(const zygos_accumulator_t *self)
 {
     uint32_t waiting = 0; /* counted without branches: the cost is the same whichever buffer waits */
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        waiting += (uint32_t)(self->buffer[b].parity != self->parity) *
-                   (uint32_t)(self->buffer[b].shared < ZYGOS_BUFFER_ROWS);
+        waiting +=
+            (uint32_t)(self->buffer[b].parity != self->parity) * (uint32_t)(self->buffer[b].shared < ZYGOS_BUFFER_ROWS);
     }
     return waiting == 0;
 }
