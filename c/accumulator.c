@@ -520,15 +520,16 @@ static void proceed_verify_noise(zygos_accumulator_t *self)
 {
     const zygos_noise_sums_t *noise = &self->noise_open[self->parity ^ 1u];
     const uint32_t rows = self->width - 1u;
-    const uint32_t part = zygos_accumulator_part(self, 1u);
-    if ((self->noisy != 0) && (self->row < rows)) {
-        zygos_gram_scan(&self->scan, noise->gram, self->row, (part < rows) ? part : rows);
-    }
-    if (!task_ends(self, (self->noisy != 0) ? part : self->width)) {
+    if (self->noisy == 0) {
+        begin_task(self, ZYGOS_TASK_JUDGE, 0);
         return;
     }
-    if ((self->noisy != 0) &&
-        (zygos_gram_scanned(&self->scan, noise->gram, rows, noise->sum, (double)self->closing_instants) > 1.0)) {
+    const uint32_t end = zygos_accumulator_part(self, 1u);
+    zygos_gram_scan(&self->scan, noise->gram, self->row, (end < rows) ? end : rows);
+    if (!task_ends(self, end)) {
+        return;
+    }
+    if (zygos_gram_scanned(&self->scan, noise->gram, rows, noise->sum, (double)self->closing_instants) > 1.0) {
         self->whole = 0;
         begin_task(self, ZYGOS_TASK_NONE, 0);
     } else {
@@ -682,10 +683,11 @@ void zygos_accumulator_proceed(zygos_accumulator_t *self)
     }
 }
 
-/* Finishes a task of that kind. */
+/* Finishes a task of that kind, each part of which has one row at least. */
 static void finish(zygos_accumulator_t *self, uint32_t task)
 {
-    while (self->task == task) {
+    const uint32_t most = self->width + 1u;
+    for (uint32_t tries = 0; (tries < most) && (self->task == task); tries++) {
         zygos_accumulator_proceed(self);
     }
 }

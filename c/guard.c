@@ -506,7 +506,7 @@ bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *con
     }
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     momentum_places(column_map, sums, place);
-    const uint32_t part = zygos_momentum_sums_part(sums, 1u);
+    const uint32_t part = zygos_momentum_sums_part(sums);
     const uint32_t end = (part < sums->columns) ? part : sums->columns;
     add_momentum_residuals(self, place, sums->row, end, ZYGOS_MOMENTUM_NOISE_CLOSING(sums).gram, &self->momentum_noise);
     add_momentum_residuals(self, place, sums->row, end, ZYGOS_MOMENTUM_CLOSING(sums).rows.gram, &self->momenta);

@@ -226,12 +226,12 @@ static double violation(const zygos_momentum_gram_t *rows, uint32_t width, doubl
     return zygos_gram_check(rows->gram, width, rows->sum, adds);
 }
 
-uint32_t zygos_momentum_sums_part(const zygos_momentum_sums_t *self, uint32_t times)
+uint32_t zygos_momentum_sums_part(const zygos_momentum_sums_t *self)
 {
     const uint32_t width = width_of(self);
     const uint32_t part = (zygos_gram_entries(width) + ZYGOS_MOMENTUM_PASS_CYCLES - 1u) / ZYGOS_MOMENTUM_PASS_CYCLES;
     uint32_t end = self->row;
-    for (uint32_t n = 0; (end < width) && (n < times * part); end++) {
+    for (uint32_t n = 0; (end < width) && (n < part); end++) {
         n += end + 1u;
     }
     return end;
@@ -278,7 +278,7 @@ static void reject(zygos_momentum_sums_t *self)
 
 static void verify_rows(zygos_momentum_sums_t *self)
 {
-    const uint32_t end = zygos_momentum_sums_part(self, 1u);
+    const uint32_t end = zygos_momentum_sums_part(self);
     const zygos_momentum_gram_t *rows = &ZYGOS_MOMENTUM_CLOSING(self).rows;
     zygos_gram_scan(&self->scan, rows->gram, self->row, end);
     self->row = end;
@@ -301,7 +301,7 @@ static void verify_rows(zygos_momentum_sums_t *self)
 
 static void verify_noise(zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
-    const uint32_t end = zygos_momentum_sums_part(self, 1u);
+    const uint32_t end = zygos_momentum_sums_part(self);
     const uint32_t last = (end < self->columns) ? end : self->columns;
     zygos_momentum_gram_t *noise = &ZYGOS_MOMENTUM_NOISE_CLOSING(self);
     const double instants = ZYGOS_MOMENTUM_CLOSING(self).instants;
@@ -328,7 +328,7 @@ static void verify_noise(zygos_momentum_sums_t *self, const zygos_config_t *conf
 static void eliminate(zygos_momentum_sums_t *self)
 {
     const uint32_t p = self->columns;
-    const uint32_t end = zygos_momentum_sums_part(self, 1u);
+    const uint32_t end = zygos_momentum_sums_part(self);
     zygos_momentum_gram_t *rows = &ZYGOS_MOMENTUM_CLOSING(self).rows;
     double *entry = &rows->gram[zygos_gram_entries(self->row)];
     const double *noise =
@@ -398,7 +398,7 @@ static void begin_merge(zygos_momentum_sums_t *self)
 /* Moves the closing arc to the next block and its noise to that of closed arcs, or leaves both out. */
 static void admit(zygos_momentum_sums_t *self)
 {
-    const uint32_t end = zygos_momentum_sums_part(self, 1u);
+    const uint32_t end = zygos_momentum_sums_part(self);
     const uint32_t last = zygos_gram_entries(end);
     const uint32_t inner = zygos_gram_entries(self->columns);
     const bool admitted = (self->admitted != 0);
@@ -441,7 +441,7 @@ static void admit(zygos_momentum_sums_t *self)
 
 static void merge(zygos_momentum_sums_t *self)
 {
-    const uint32_t end = zygos_momentum_sums_part(self, 1u);
+    const uint32_t end = zygos_momentum_sums_part(self);
     zygos_momentum_block_t *to = &self->block[self->place];
     zygos_momentum_block_t *from = &self->block[(self->place + 1u < self->count) ? self->place + 1u : self->place];
     for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {

@@ -131,8 +131,8 @@ bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle);
 void zygos_momentum_sums_proceed(zygos_momentum_sums_t *self, const zygos_config_t *config);
 void zygos_momentum_sums_judged(zygos_momentum_sums_t *self, bool admitted);
 
-/// Returns the row before which the next part of the task ends, with so many times the usual number of entries.
-uint32_t zygos_momentum_sums_part(const zygos_momentum_sums_t *self, uint32_t times);
+/// Returns the row before which the next part of the task ends.
+uint32_t zygos_momentum_sums_part(const zygos_momentum_sums_t *self);
 
 /// Finishes the tasks, and admits the closing arc unless it does not match its row sums. Cost: a few passes over the
 /// sums of an arc, and one over the blocks where two are merged.

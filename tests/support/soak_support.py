@@ -9,7 +9,7 @@ import numpy as np
 
 from zygos.arm import Arm
 from zygos.model.model import Model
-from zygos.native.flight import Flight, ffi
+from zygos.native.flight import Flight, ffi, lib
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
@@ -57,6 +57,15 @@ def instants(flight: Flight) -> dict[str, list[float]]:
         "motors": [motors.block[b].fade * motors.block[b].total for b in range(motors.count)],
         "momentum": [momentum.block[b].fade * momentum.block[b].instants for b in range(momentum.count)],
     }
+
+
+def settle(flight: Flight) -> None:
+    """Finish the tasks that go on beside the cycles."""
+    names = ("guard", "config", "column_map", "accumulator", "motor_sums", "momentum_sums")
+    guard, config, columns, energy, motors, momentum = (ffi.addressof(flight.native, name) for name in names)
+    lib.zygos_guard_settle_energy(guard, config, energy)
+    lib.zygos_guard_settle_motors(guard, config, columns, motors)
+    lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
 
 
 def resealed(sums: Any) -> int:

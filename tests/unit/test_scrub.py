@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from flight_support import bytes_of, part
 from ground_support import seen, short_arm, torque_of
-from soak_support import again, fly, resealed, stored, with_all_rows
+from soak_support import again, fly, resealed, settle, stored, with_all_rows
 
 from zygos.arm import Arm
 from zygos.model.model import Model
@@ -31,15 +31,6 @@ MOTION_ARCS = 3
 def motion(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
     """A minute without noise."""
     return stored(arm, model, scenario)
-
-
-def settle(flight: Flight) -> None:
-    """Finish the tasks that go on beside the cycles."""
-    names = ("guard", "config", "column_map", "accumulator", "motor_sums", "momentum_sums")
-    guard, config, columns, energy, motors, momentum = (ffi.addressof(flight.native, name) for name in names)
-    lib.zygos_guard_settle_energy(guard, config, energy)
-    lib.zygos_guard_settle_motors(guard, config, columns, motors)
-    lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from flight_support import part
 from numpy.typing import NDArray
-from soak_support import again, resealed, stored, with_all_rows
+from soak_support import again, resealed, settle, stored, with_all_rows
 
 from zygos.arm import Arm
 from zygos.model.model import Model
@@ -29,17 +29,6 @@ SEEDS = 40
 def motion(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
     """A minute without noise."""
     return stored(arm, model, scenario)
-
-
-def settle(flight: Flight) -> None:
-    """Finishes every task."""
-    guard, config, columns, energy, motors, momentum = (
-        ffi.addressof(flight.native, name)
-        for name in ("guard", "config", "column_map", "accumulator", "motor_sums", "momentum_sums")
-    )
-    lib.zygos_guard_settle_energy(guard, config, energy)
-    lib.zygos_guard_settle_motors(guard, config, columns, motors)
-    lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
 
 
 def of(array: Any, entries: int) -> Floats:

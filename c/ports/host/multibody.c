@@ -502,16 +502,10 @@ static double torque_of(const zygos_multibody_law_t *law, double rate, double an
 // Torque of a law on the base per unit coefficient.
 static double torque_on_base(const zygos_multibody_law_t *law, double time, double angle)
 {
-    switch (law->form) {
-    case ZYGOS_LAW_SINCE:
+    if (law->form == ZYGOS_LAW_SINCE) {
         return (time >= law->shape) ? 1.0 : 0.0;
-    case ZYGOS_LAW_SINE:
-        return sin(law->shape * angle);
-    case ZYGOS_LAW_COSINE:
-        return cos(law->shape * angle);
-    default:
-        return 1.0;
     }
+    return torque_of(law, 0.0, angle, 0.0, 0.0, 0.0);
 }
 
 // Torques of springs on links, on rotors, on links besides, and on the base. force: 3N + 3. q: the angles and rates of
