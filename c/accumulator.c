@@ -554,9 +554,18 @@ static void proceed_verify(zygos_accumulator_t *self)
     self->whole &= whole ? 1u : 0u;
     self->overlap = block->overlap;
     const double *s = &block->gram[zygos_gram_entries(self->width - 1u)];
+    const double *mean = self->mean;
     const double n = s[self->width - 1u];
+    double all = 0.0;
+    double means = 0.0;
     for (uint32_t i = 0; i < self->width; i++) {
-        block->deviation[i] = s[i] - n * self->mean[i];
+        all += s[i];
+        means += mean[i];
+    }
+    /* The scan keeps what the row sums will be, for a bit may flip while the constant is eliminated. */
+    for (uint32_t i = 0; i < self->width; i++) {
+        self->scan.sum[i] = block->sum[i] + n * mean[i] * means - s[i] * means - mean[i] * all;
+        block->deviation[i] = s[i] - n * mean[i];
         block->sum[i] = 0.0;
     }
     begin_task(self, ZYGOS_TASK_CENTRE, self->places);
@@ -586,7 +595,10 @@ static void proceed_centre(zygos_accumulator_t *self)
     if (task_ends(self, end)) {
         block->end = self->closing_end;
         block->fade = 1.0;
-        self->whole &= (self->means == checksum_of_means(self)) ? 1u : 0u;
+        const bool whole =
+            (self->means == checksum_of_means(self)) &&
+            (zygos_gram_scanned(&self->scan, block->gram, self->width, block->sum, block->instants) <= 1.0);
+        self->whole &= whole ? 1u : 0u;
         seal(block, self->width, self->whole != 0);
         begin_task(self, ZYGOS_TASK_JUDGE, self->places);
     }

@@ -41,20 +41,32 @@ static uint32_t behind(uint32_t place, const zygos_config_t *config)
 void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, const double *tau)
 {
     for (uint32_t i = 0; i < config->joints; i++) {
-        self->torque[self->torque_at][i] = tau[i];
+        self->torque[0][self->torque_at][i] = tau[i];
+        self->torque[1][self->torque_at][i] = tau[i];
     }
     /* The ring holds M + 1 torques, so the place of the next one holds that of M cycles ago. */
     self->torque_at = behind(self->torque_at, config);
 }
 
+bool zygos_balance_torque_is_whole(const zygos_balance_t *self, const zygos_config_t *config)
+{
+    const double *torque = self->torque[0][self->torque_at];
+    const double *twin = self->torque[1][self->torque_at];
+    double off = 0.0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        off += (torque[i] - twin[i]) * (torque[i] - twin[i]);
+    }
+    return off <= 0.0; /* not where it is not a number */
+}
+
 const double *zygos_balance_torque_before(const zygos_balance_t *self)
 {
-    return self->torque[self->torque_at];
+    return self->torque[0][self->torque_at];
 }
 
 const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygos_config_t *config)
 {
-    return self->torque[behind(self->torque_at, config)];
+    return self->torque[0][behind(self->torque_at, config)];
 }
 
 /* Advances W, D and the effects to this instant. Returns the term of torque steps in the work of the row. */

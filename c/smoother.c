@@ -111,8 +111,8 @@ void zygos_smoother_variance(const zygos_smoother_t *self, uint32_t signal, doub
     }
 }
 
-/* Replaces the oldest sample and its twin. Returns whether their angles differed. The square of a difference that is
-   too small for a square is no harm. */
+/* Replaces the oldest sample and its twin. Returns whether they differed. The square of a difference that is too
+   small for a square is no harm. */
 static bool put_in(zygos_sample_t *restrict sample, zygos_sample_t *restrict twin, uint32_t joints,
                    const double *restrict signal)
 {
@@ -127,6 +127,8 @@ static bool put_in(zygos_sample_t *restrict sample, zygos_sample_t *restrict twi
         twin->angle[i][1] = signal[joints + i];
     }
     for (uint32_t k = 0; k < 3; k++) {
+        const double rate = sample->omega[k] - twin->omega[k];
+        off += rate * rate;
         sample->omega[k] = signal[2u * joints + k];
         twin->omega[k] = signal[2u * joints + k];
     }

@@ -240,6 +240,59 @@ static inline uint32_t places_of(const zygos_t *self)
     return (further != 0) ? fold ^ further_places_of(self) : fold;
 }
 
+static uint64_t folded(uint64_t fold, const double *x, uint32_t n)
+{
+    for (uint32_t i = 0; i < n; i++) {
+        uint64_t bits;
+        __builtin_memcpy(&bits, &x[i], sizeof bits);
+        fold ^= bits;
+    }
+    return fold;
+}
+
+/* Of the integrals of the effects, in the energy rows and in the motor rows. */
+static uint64_t effects_of(const zygos_t *self)
+{
+    const uint32_t n = least(self->config.effects, (uint32_t)ZYGOS_MAX_EFFECTS);
+    uint64_t fold = folded(folded(0, self->balance.effects.total, n), self->impulse.total, n);
+    for (uint32_t k = 0; k < 3u; k++) {
+        fold = folded(folded(fold, self->balance.effects.past[k], n), self->impulse.before[k], n);
+    }
+    return fold;
+}
+
+/* Of the places, counts and integrals that one cycle leaves to the next. A bit that flips there would spoil the rest of
+   an arc. */
+static uint64_t moving_of(const zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    const zygos_balance_t *balance = &self->balance;
+    const zygos_impulse_t *impulse = &self->impulse;
+    const uint32_t n = least(config->joints, (uint32_t)ZYGOS_MAX_JOINTS);
+    const uint32_t counts = self->arc ^ self->smoother.position ^ self->smoother.filled ^ balance->instants ^
+                            balance->origin ^ balance->torque_at ^ impulse->instants ^ impulse->origin ^
+                            self->momentum.instants ^ self->momentum.origin ^ self->motor_sums.instants ^
+                            self->motor_sums.cycles ^ self->momentum_sums.cycles;
+    uint64_t fold = folded(counts, &balance->work, 1u);
+    fold = folded(folded(fold, balance->dissipation, n), balance->theta, n);
+    for (uint32_t k = 0; k < 3u; k++) {
+        fold = folded(fold, balance->dissipation_rate[k], n);
+    }
+    if (config->impulse_arc_cycles > 0) {
+        fold = folded(folded(fold, impulse->impulse, n), impulse->deflection_integral, n);
+        for (uint32_t k = 0; k < 3u; k++) {
+            fold = folded(fold, impulse->past[k], n);
+        }
+    }
+    if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
+        fold = folded(fold, self->momentum.attitude, 4u);
+        for (uint32_t k = 0; k < 3u; k++) {
+            fold = folded(fold, self->momentum.past[k], 3u);
+        }
+    }
+    return (config->effects > 0) ? fold ^ effects_of(self) : fold;
+}
+
 /* Whether a cycle accesses nothing outside *self. Those that do not follow from the configuration change; they are
    compared with the configuration, which is verified before. */
 static bool is_steady(const zygos_t *self)
@@ -247,7 +300,7 @@ static bool is_steady(const zygos_t *self)
     const zygos_config_t *config = &self->config;
     const zygos_accumulator_t *sums = &self->accumulator;
     const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums));
-    return (off == 0) && zygos_accumulator_steady(sums) && zygos_momentum_sums_steady(&self->momentum_sums) &&
+    return (off == 0) && (self->moving == moving_of(self)) && zygos_accumulator_steady(sums) && zygos_momentum_sums_steady(&self->momentum_sums) &&
            zygos_motor_sums_steady(&self->motor_sums) && (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
@@ -300,6 +353,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     self->forgetting = 1.0;
     self->motors_forgetting = 1.0;
     self->momentum_forgetting = 1.0;
+    self->moving = moving_of(self);
     self->magic = MAGIC;
     return 1;
 }
@@ -532,7 +586,7 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     }
     zygos_balance_torque(&self->balance, &self->config, tau);
     const int smoothed = zygos_smoother_push(&self->smoother, signal, &self->arm_state);
-    if (smoothed < 0) {
+    if ((smoothed < 0) || !zygos_balance_torque_is_whole(&self->balance, &self->config)) {
         suspect(self);
     }
     if (smoothed != 1) {
@@ -594,6 +648,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     settle(self);
     self->instant = 0;
     zygos_receiver_resume(&self->receiver);
+    self->moving = moving_of(self);
     return 1;
 }
 
@@ -616,6 +671,7 @@ int zygos_step(zygos_t *self)
         return ZYGOS_E_STATE;
     }
     process_cycle(self, cycle);
+    self->moving = moving_of(self);
     zygos_receiver_pop(&self->receiver);
     return 1;
 }
@@ -650,9 +706,11 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
         self->instant = 0;
         void_arcs(self, cycle);
         gap(self);
+        self->moving = moving_of(self);
         return 0;
     }
     process_cycle(self, cycle);
+    self->moving = moving_of(self);
     return 1;
 }
 
@@ -698,6 +756,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
     guard->adopting = 1;
     settle(self);
     if (!good) {
+        self->moving = moving_of(self);
         return 0;
     }
     if (estimate->since > 0) {
@@ -715,6 +774,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
     }
     zygos_guard_begin(guard, &self->config, &self->column_map, &self->accumulator, &self->motor_sums,
                       &self->momentum_sums, &self->joint_sums);
+    self->moving = moving_of(self);
     return 1;
 }
 
@@ -869,6 +929,7 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
         drop_unverified(self);
     }
     self->scrubbed = self->cycle;
+    self->moving = moving_of(self);
     return (int)found;
 }
 
@@ -922,5 +983,6 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_guard_clear(&self->guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->cycle);
     self->arc = 0;
     self->instant = 0;
+    self->moving = moving_of(self);
     return 1;
 }

@@ -39,7 +39,8 @@ typedef struct {
     double dissipation[ZYGOS_MAX_JOINTS];               ///< D [rad^2/s].
     double theta[ZYGOS_MAX_JOINTS];                     ///< theta at the previous instant.
     double dissipation_rate[3][ZYGOS_MAX_JOINTS];       ///< g at the three previous instants, newest first.
-    double torque[ZYGOS_TORQUE_RING][ZYGOS_MAX_JOINTS]; ///< Acting torques that wait for their instant.
+    /// Acting torques that wait for their instant, twice.
+    double torque[2][ZYGOS_TORQUE_RING][ZYGOS_MAX_JOINTS];
     zygos_effects_t effects;
 } zygos_balance_t;
 
@@ -90,6 +91,10 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
 int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                       const zygos_integral_bias_t *bias, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                       zygos_row_t *out);
+
+/// Returns whether both copies of the torque that acted in the period before the newest instant are the same; otherwise
+/// memory was changed since it was stored.
+bool zygos_balance_torque_is_whole(const zygos_balance_t *self, const zygos_config_t *config);
 
 /// Return tau[N], the torque that acted in the period before the newest instant, and in the period after it.
 const double *zygos_balance_torque_before(const zygos_balance_t *self);

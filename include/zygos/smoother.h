@@ -59,8 +59,8 @@ void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config);
 void zygos_smoother_reset(zygos_smoother_t *self);
 
 /// Adds the newest sample of each signal. When the window is full, writes the state M cycles ago into *out and returns
-/// 1; otherwise returns 0 and does not change *out. Returns -1 instead when the two copies of the oldest sample's
-/// angles differ: memory was changed in the last window. Cost: 3 products over the window for each signal of a joint, 1
+/// 1; otherwise returns 0 and does not change *out. Returns -1 instead when the two copies of the oldest sample
+/// differ: memory was changed in the last window. Cost: 3 products over the window for each signal of a joint, 1
 /// for each axis of the gyro; the same for every call that returns 1.
 int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_arm_state_t *out);
 

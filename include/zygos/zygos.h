@@ -58,6 +58,7 @@ typedef struct {
                               ///< number where a cycle found memory changed: none is processed before zygos_scrub().
     uint64_t config_checksum; ///< Of config.
     uint64_t tables_checksum; ///< Of everything that follows from the configuration.
+    uint64_t moving;          ///< Exclusive or of what changes from cycle to cycle: integrals, and places in windows.
     uint64_t scrubbed;        ///< Number of the newest cycle when zygos_scrub() was called last, or of the start.
     uint64_t quarantined;     ///< Number of arcs and blocks that were dropped because memory was changed.
     uint64_t cycle;           ///< SYNC number of the newest cycle that was processed.
@@ -99,7 +100,7 @@ typedef struct {
 /// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
 /// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0x0BB40BD4u
+#define ZYGOS_LAYOUT 0xFC81B10Au
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
