@@ -797,6 +797,11 @@ static void share_out_slices(zygos_accumulator_t *self, uint32_t slices)
     }
 }
 
+void zygos_accumulator_share_slice(zygos_accumulator_t *self)
+{
+    share_out_slices(self, 1u);
+}
+
 void zygos_accumulator_share_out(zygos_accumulator_t *self)
 {
     share_out_slices(self, ZYGOS_BUFFER_ROWS);

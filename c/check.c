@@ -10,6 +10,38 @@ static uint32_t quarantined(const zygos_work_t *work)
     return work->accumulator.quarantined + work->motor_sums.quarantined + work->momentum_sums.quarantined;
 }
 
+static bool ends(const zygos_work_t *work, uint32_t kind)
+{
+    return ((work->ending >> kind) & 1u) != 0;
+}
+
+/* By how much the sums of closed arcs fade before such an arc is added. */
+static double factor_of(const zygos_work_t *work, uint32_t kind)
+{
+    const double product = work->ended_forgetting[kind];
+    return ((work->config.forgetting_factor < 1.0) && (product >= 0.0) && (product < 1.0)) ? product : 1.0;
+}
+
+/* Ends the arcs that wait for their end. Needs that no task is open. */
+static void end_waiting(zygos_work_t *work)
+{
+    const zygos_config_t *config = &work->config;
+    if (ends(work, (uint32_t)ZYGOS_ENERGY_ROWS)) {
+        zygos_accumulator_forget(&work->accumulator, factor_of(work, (uint32_t)ZYGOS_ENERGY_ROWS));
+        zygos_guard_end_energy(&work->guard, config, &work->accumulator, work->ended, work->arc);
+        work->arc = 0;
+    }
+    if (ends(work, (uint32_t)ZYGOS_MOTOR_ROWS)) {
+        zygos_motor_sums_forget(&work->motor_sums, factor_of(work, (uint32_t)ZYGOS_MOTOR_ROWS));
+        zygos_guard_end_motors(&work->guard, config, &work->column_map, &work->motor_sums, work->ended);
+    }
+    if (ends(work, (uint32_t)ZYGOS_MOMENTUM_ROWS)) {
+        zygos_momentum_sums_forget(&work->momentum_sums, factor_of(work, (uint32_t)ZYGOS_MOMENTUM_ROWS));
+        zygos_guard_end_momentum(&work->guard, config, &work->column_map, &work->momentum_sums, work->ended);
+    }
+    work->ending = 0;
+}
+
 bool zygos_work_settle(zygos_work_t *work)
 {
     if ((work == NULL) || (work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
@@ -31,6 +63,7 @@ bool zygos_work_settle(zygos_work_t *work)
     zygos_guard_settle_energy(&work->guard, &work->config, &work->accumulator);
     zygos_guard_settle_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums);
     zygos_guard_settle_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums);
+    end_waiting(work);
     return quarantined(work) == before;
 }
 

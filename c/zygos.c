@@ -27,7 +27,8 @@ _Static_assert((sizeof(zygos_joint_config_t) ==
 #define LARGEST_SUM 1e150
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 #define LONGEST_INCREMENT 1000000u
-#define SHORTEST 8u /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
+#define IDLE_PARTS 4u /* parts of tasks in a cycle without rows, which cost less than the rows */
+#define SHORTEST 8u   /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
 {
@@ -269,9 +270,9 @@ static uint64_t moving_of(const zygos_t *self)
     const zygos_balance_t *balance = &self->balance;
     const zygos_impulse_t *impulse = &self->impulse;
     const uint32_t n = least(config->joints, (uint32_t)ZYGOS_MAX_JOINTS);
-    const uint32_t counts = self->arc ^ self->smoother.position ^ self->smoother.filled ^ balance->instants ^
-                            balance->origin ^ balance->torque_at ^ impulse->instants ^ impulse->origin ^
-                            self->momentum.instants ^ self->momentum.origin ^ self->motor_sums.instants ^
+    const uint32_t counts = self->arc ^ self->ending ^ self->smoother.position ^ self->smoother.filled ^
+                            balance->instants ^ balance->origin ^ balance->torque_at ^ impulse->instants ^
+                            impulse->origin ^ self->momentum.instants ^ self->momentum.origin ^
                             self->motor_sums.cycles ^ self->momentum_sums.cycles;
     uint64_t fold = folded(counts, &balance->work, 1u);
     fold = folded(folded(fold, balance->dissipation, n), balance->theta, n);
@@ -300,8 +301,9 @@ static bool is_steady(const zygos_t *self)
     const zygos_config_t *config = &self->config;
     const zygos_accumulator_t *sums = &self->accumulator;
     const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums));
-    return (off == 0) && (self->moving == moving_of(self)) && zygos_accumulator_steady(sums) && zygos_momentum_sums_steady(&self->momentum_sums) &&
-           zygos_motor_sums_steady(&self->motor_sums) && (self->smoother.position < self->smoother.window) &&
+    return (off == 0) && (self->moving == moving_of(self)) && zygos_accumulator_steady(sums) &&
+           zygos_momentum_sums_steady(&self->momentum_sums) && zygos_motor_sums_steady(&self->motor_sums) &&
+           (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
             (zygos_joint_intact(&self->joint, config) && zygos_joint_sums_steady(&self->joint_sums, config)));
@@ -377,7 +379,7 @@ static bool fades(const zygos_t *self, double product)
 
 /* Sums of closed arcs fade when an arc ends. What is being done to them is finished before, but not for an arc that is
    too short to be of use: all fades with the next arc then. */
-static void end_arc(zygos_t *self)
+static void end_arc(zygos_t *self, uint64_t cycle)
 {
     const bool rests = zygos_accumulator_rests(&self->accumulator);
     if (rests || !zygos_accumulator_is_short(&self->accumulator)) {
@@ -389,11 +391,11 @@ static void end_arc(zygos_t *self)
         }
         self->forgetting = 1.0;
     }
-    zygos_guard_close_energy(&self->guard, &self->config, &self->accumulator, self->cycle, self->arc);
+    zygos_guard_close_energy(&self->guard, &self->config, &self->accumulator, cycle, self->arc);
     self->arc = 0;
 }
 
-static void end_joint_arc(zygos_t *self)
+static void end_joint_arc(zygos_t *self, uint64_t cycle)
 {
     if ((self->motor_sums.task == ZYGOS_MOTOR_NONE) || !zygos_motor_sums_is_short(&self->motor_sums)) {
         if (fades(self, self->motors_forgetting)) {
@@ -402,10 +404,10 @@ static void end_joint_arc(zygos_t *self)
         }
         self->motors_forgetting = 1.0;
     }
-    zygos_guard_close_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums, self->cycle);
+    zygos_guard_close_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums, cycle);
 }
 
-static void end_momentum_arc(zygos_t *self)
+static void end_momentum_arc(zygos_t *self, uint64_t cycle)
 {
     if ((self->momentum_sums.task == ZYGOS_MOMENTUM_NONE) || !zygos_momentum_sums_is_short(&self->momentum_sums)) {
         if (fades(self, self->momentum_forgetting)) {
@@ -414,7 +416,57 @@ static void end_momentum_arc(zygos_t *self)
         }
         self->momentum_forgetting = 1.0;
     }
-    zygos_guard_close_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums, self->cycle);
+    zygos_guard_close_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums, cycle);
+}
+
+/* ---------------------------------------------------------------- gaps
+
+   Until the smoother's window is full again there are no rows. An arc that a gap ends waits in that time until the one
+   before it is closed, which would cost a multiple of a cycle at once. */
+
+static double *forgetting_of(zygos_t *self, uint32_t kind)
+{
+    double *const of_kind[ZYGOS_KINDS_OF_ROWS] = { &self->forgetting, &self->motors_forgetting,
+                                                   &self->momentum_forgetting };
+    return of_kind[kind];
+}
+
+static void end_arc_of(zygos_t *self, uint32_t kind, uint64_t cycle)
+{
+    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
+        end_joint_arc(self, cycle);
+    } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
+        end_momentum_arc(self, cycle);
+    } else {
+        end_arc(self, cycle);
+    }
+}
+
+/* Whether the end of the open arc would first have to finish tasks. */
+static bool has_to_wait(const zygos_t *self, uint32_t kind)
+{
+    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
+        return (self->motor_sums.task != ZYGOS_MOTOR_NONE) && !zygos_motor_sums_is_short(&self->motor_sums);
+    }
+    if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
+        return (self->momentum_sums.task != ZYGOS_MOMENTUM_NONE) && !zygos_momentum_sums_is_short(&self->momentum_sums);
+    }
+    return zygos_accumulator_busy(&self->accumulator) && !zygos_accumulator_is_short(&self->accumulator);
+}
+
+/* Ends the arcs that wait, or those of them that no longer have to. */
+static void end_waiting(zygos_t *self, bool all)
+{
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        if (((self->ending >> kind) & 1u) && (all || !has_to_wait(self, kind))) {
+            double *forgetting = forgetting_of(self, kind);
+            const double since = *forgetting;
+            self->ending ^= 1u << kind;
+            *forgetting = self->ended_forgetting[kind];
+            end_arc_of(self, kind, self->ended);
+            *forgetting *= since;
+        }
+    }
 }
 
 static void gap(zygos_t *self)
@@ -423,19 +475,59 @@ static void gap(zygos_t *self)
     zygos_smoother_reset(&self->smoother);
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
-    end_joint_arc(self);
     zygos_momentum_reset(&self->momentum);
-    end_momentum_arc(self);
     zygos_joint_reset(&self->joint, &self->config);
-    end_arc(self);
+    const uint32_t waiting = self->ending; /* since another gap, behind which there were no rows */
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        if ((waiting >> kind) & 1u) {
+            continue;
+        }
+        if (has_to_wait(self, kind)) {
+            double *forgetting = forgetting_of(self, kind);
+            self->ending |= 1u << kind;
+            self->ended = self->cycle;
+            self->ended_forgetting[kind] = *forgetting;
+            *forgetting = 1.0;
+        } else {
+            end_arc_of(self, kind, self->cycle);
+        }
+    }
+}
+
+/* The tasks proceed in a cycle without rows. */
+static void idle(zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    for (uint32_t part = 0; part < IDLE_PARTS; part++) {
+        zygos_accumulator_share_slice(&self->accumulator);
+        if (self->motor_sums.task != ZYGOS_MOTOR_NONE) {
+            (void)zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
+        } else if (self->momentum_sums.task != ZYGOS_MOMENTUM_NONE) {
+            (void)zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums);
+        } else if (config->arc_cycles > 0) {
+            zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
+        }
+        if (self->ending != 0) {
+            end_waiting(self, false);
+        }
+    }
+}
+
+static void settle_sums(zygos_t *self)
+{
+    zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
+    zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
+    zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
 }
 
 /* Finishes what proceeds beside the cycles. */
 static void settle(zygos_t *self)
 {
-    zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
-    zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
-    zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
+    settle_sums(self);
+    if (self->ending != 0) {
+        end_waiting(self, true);
+        settle_sums(self);
+    }
 }
 
 /* Drops what reaches into the cycles that cannot be trusted. */
@@ -446,6 +538,7 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     }
     const uint64_t doubtful = cycle->flags >> ZYGOS_CYCLE_VOID_SHIFT;
     const uint64_t trusted = (doubtful < cycle->sync) ? cycle->sync - doubtful : 0u;
+    end_waiting(self, true); /* not to be taken for arcs that are still open */
     if ((doubtful == 0) || (self->cycle > trusted)) {
         zygos_accumulator_drop_after(&self->accumulator, trusted);
         zygos_motor_sums_drop_after(&self->motor_sums, trusted);
@@ -475,7 +568,7 @@ static bool add_impulses(zygos_t *self)
     zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
     const bool busy = zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
     if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
-        end_joint_arc(self);
+        end_joint_arc(self, self->cycle);
         zygos_impulse_new_arc(&self->impulse);
     }
     return busy;
@@ -494,7 +587,7 @@ static bool add_momentum(zygos_t *self, bool busy)
                             self->arm_state.accepted);
     busy = busy || zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums);
     if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
-        end_momentum_arc(self);
+        end_momentum_arc(self, self->cycle);
         zygos_momentum_new_arc(&self->momentum);
     }
     return busy;
@@ -554,7 +647,7 @@ static void add_energy(zygos_t *self, bool busy)
     const double shortest = (double)(config->arc_cycles / SHORTEST);
     const double longest = (double)config->arc_cycles;
     if ((double)self->arc >= shortest + self->arm_state.accepted * (longest - shortest)) {
-        end_arc(self);
+        end_arc(self, self->cycle);
         zygos_balance_new_arc(&self->balance);
     }
 }
@@ -590,7 +683,11 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
         suspect(self);
     }
     if (smoothed != 1) {
+        idle(self);
         return;
+    }
+    if (self->ending != 0) {
+        end_waiting(self, true);
     }
     zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
     const bool busy = add_momentum(self, add_impulses(self));
@@ -620,7 +717,8 @@ static bool is_intact(const zygos_t *self)
            zygos_joint_intact(&self->joint, &self->config) &&
            zygos_joint_sums_intact(&self->joint_sums, &self->config, &column_map) &&
            zygos_motor_sums_intact(&self->motor_sums, &self->config) &&
-           zygos_momentum_sums_intact(&self->momentum_sums, &self->config) && zygos_guard_intact(&self->guard);
+           zygos_momentum_sums_intact(&self->momentum_sums, &self->config) && zygos_guard_intact(&self->guard) &&
+           (self->ending < (1u << ZYGOS_KINDS_OF_ROWS));
 }
 
 int zygos_resume(zygos_t *self, const zygos_config_t *config)
@@ -727,7 +825,9 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
     work->guard = self->guard;
     work->cycle = self->cycle;
     work->arc = self->arc;
-    work->reserved = 0;
+    work->ending = self->ending;
+    work->ended = self->ended;
+    memcpy(work->ended_forgetting, self->ended_forgetting, sizeof work->ended_forgetting);
     work->config = self->config;
 }
 
@@ -811,6 +911,7 @@ static void drop_open(zygos_t *self)
     zygos_joint_sums_drop_after(&self->joint_sums, self->cycle);
     self->arc = 0;
     self->instant = 0;
+    self->ending = 0;
 }
 
 /* Indices and flags that change. Returns what was found. */
@@ -922,8 +1023,14 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
     if (zygos_momentum_sums_intact(&self->momentum_sums, &self->config)) {
         zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
     }
-    found |= is_steady(self) ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
+    const bool steady = is_steady(self);
+    const bool unmoved = (self->moving == moving_of(self));
+    found |= steady ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
+    if (steady && (self->ending != 0)) {
+        settle(self);
+    }
     found |= scrub_sums(self);
+    self->moving = unmoved ? moving_of(self) : self->moving;
     found |= scrub_places(self);
     if (rebuilt & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {
         drop_unverified(self);
@@ -965,7 +1072,8 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
     if (joints) {
-        end_joint_arc(self);
+        end_waiting(self, true);
+        end_joint_arc(self, self->cycle);
         zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
     } else {
         zygos_motor_sums_clear(&self->motor_sums, &self->config);
@@ -983,6 +1091,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_guard_clear(&self->guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->cycle);
     self->arc = 0;
     self->instant = 0;
+    self->ending = 0;
     self->moving = moving_of(self);
     return 1;
 }

@@ -69,11 +69,16 @@ typedef struct {
     uint64_t apart;           ///< Number of cycles with link and motor angle on different sides of that end, not used.
     uint32_t arc;             ///< Number of instants of the open arc, accepted or not.
     uint32_t instant;         ///< 1: arm_state, row and accepted below belong to the newest cycle.
-    double forgetting;        ///< Product of the forgetting factors of the cycles in the open arc.
-    double motors_forgetting; ///< The same for the motor rows.
-    double momentum_forgetting; ///< The same for the momentum rows.
-    double joints_forgetting;   ///< The same for the joint rows, of the cycles since the last complete segment.
-    double accepted;            ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
+    uint32_t ending;          ///< Kinds of rows (enum zygos_rows), as bits, whose open arc a gap has ended, and waits
+                              ///< until the arc before it is closed, or the next one begins.
+    uint32_t reserved;
+    uint64_t ended;                               ///< The newest cycle of these arcs.
+    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors.
+    double forgetting;                            ///< Product of the forgetting factors of the cycles in the open arc.
+    double motors_forgetting;                     ///< The same for the motor rows.
+    double momentum_forgetting;                   ///< The same for the momentum rows.
+    double joints_forgetting; ///< The same for the joint rows, of the cycles since the last complete segment.
+    double accepted;          ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
     zygos_config_t config;
     zygos_column_map_t column_map;
     zygos_geometry_t geometry;
@@ -100,7 +105,7 @@ typedef struct {
 /// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
 /// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xFC81B10Au
+#define ZYGOS_LAYOUT 0x67733CE5u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
