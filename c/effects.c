@@ -1,5 +1,7 @@
 #include "zygos/effects.h"
 
+_Static_assert((uint32_t)ZYGOS_VISCOUS_ASYMMETRY + 1u == ZYGOS_EFFECT_KINDS, "the last of the kinds");
+
 /* No switch over the kinds has a default, so that the compiler names each one that lacks a kind. */
 
 /* Whether the column is energy of the spring: a state without a history. */

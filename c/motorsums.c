@@ -55,6 +55,40 @@ static void seal(zygos_motor_block_t *block, bool whole)
     block->checksum = whole ? checksum : ~checksum;
 }
 
+/* The length of a joint's row. What lies behind the sums of such rows is 0, and nobody reads it. */
+static uint32_t width_of(const zygos_motor_sums_t *self, uint32_t joint)
+{
+    const uint32_t width = self->column_map.count[joint] + 2u;
+    return (width <= (uint32_t)ZYGOS_MAX_MOTOR_ROW) ? width : (uint32_t)ZYGOS_MAX_MOTOR_ROW;
+}
+
+static void copy_block(const zygos_motor_sums_t *self, zygos_motor_block_t *to, const zygos_motor_block_t *from)
+{
+    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
+        const uint32_t width = width_of(self, i);
+        memcpy(to->joint[i].gram, from->joint[i].gram, zygos_gram_entries(width) * sizeof to->joint[i].gram[0]);
+        memcpy(to->joint[i].sum, from->joint[i].sum, width * sizeof to->joint[i].sum[0]);
+    }
+    memcpy(to->instants, from->instants, sizeof to->instants);
+    to->total = from->total;
+    to->fade = from->fade;
+    to->end = from->end;
+    to->checksum = from->checksum;
+}
+
+/* to := own to + other from, without what belongs to the whole block. */
+static void add_joint(const zygos_motor_sums_t *self, uint32_t i, double own, zygos_motor_block_t *to, double other,
+                      const zygos_motor_block_t *from)
+{
+    const uint32_t width = width_of(self, i);
+    for (uint32_t k = 0; k < zygos_gram_entries(width); k++) {
+        to->joint[i].gram[k] = own * to->joint[i].gram[k] + other * from->joint[i].gram[k];
+    }
+    for (uint32_t k = 0; k < width; k++) {
+        to->joint[i].sum[k] = own * to->joint[i].sum[k] + other * from->joint[i].sum[k];
+    }
+}
+
 void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *config)
 {
     self->target = 2.0 * (double)config->impulse_arc_cycles;
@@ -181,7 +215,7 @@ bool zygos_motor_sums_close(zygos_motor_sums_t *self, uint64_t cycle)
         zygos_motor_sums_leave_out(self);
         return false;
     }
-    self->closing = self->open;
+    copy_block(self, &self->closing, &self->open);
     self->closing.total = (double)self->instants;
     self->closing.fade = 1.0;
     self->closing.end = cycle;
@@ -259,7 +293,7 @@ static void admit(zygos_motor_sums_t *self)
     judge(self);
     if (self->count < (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS) {
         self->closing.checksum = checksum_of_block(&self->closing);
-        self->block[self->count] = self->closing;
+        copy_block(self, &self->block[self->count], &self->closing);
         self->count++;
         self->checksum = checksum_of(self);
     }
@@ -274,12 +308,7 @@ static void merge_joint(zygos_motor_sums_t *self)
     const uint32_t i = self->joint;
     zygos_motor_block_t *to = &self->block[self->place];
     const zygos_motor_block_t *from = &self->block[(self->place + 1u < self->count) ? self->place + 1u : self->place];
-    for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
-        to->joint[i].gram[k] = to->fade * to->joint[i].gram[k] + from->fade * from->joint[i].gram[k];
-    }
-    for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
-        to->joint[i].sum[k] = to->fade * to->joint[i].sum[k] + from->fade * from->joint[i].sum[k];
-    }
+    add_joint(self, i, to->fade, to, from->fade, from);
     self->joint++;
     if (self->joint < (uint32_t)ZYGOS_MAX_JOINTS) {
         return;
@@ -306,7 +335,7 @@ static void shift(zygos_motor_sums_t *self)
         leave_closing_out(self);
         return;
     }
-    self->block[self->place] = self->block[self->place + 1u];
+    copy_block(self, &self->block[self->place], &self->block[self->place + 1u]);
     self->place++;
 }
 
@@ -349,7 +378,12 @@ void zygos_motor_sums_settle(zygos_motor_sums_t *self, const zygos_config_t *con
 
 void zygos_motor_sums_leave_out(zygos_motor_sums_t *self)
 {
-    memset(&self->open, 0, sizeof self->open);
+    zygos_motor_block_t *open = &self->open;
+    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
+        memset(open->joint[i].gram, 0, zygos_gram_entries(width_of(self, i)) * sizeof open->joint[i].gram[0]);
+        memset(open->joint[i].sum, 0, width_of(self, i) * sizeof open->joint[i].sum[0]);
+    }
+    memset(open->instants, 0, sizeof open->instants);
     self->instants = 0;
     self->cycles = 0;
 }
@@ -381,12 +415,7 @@ void zygos_motor_sums_apply_fade(zygos_motor_sums_t *self)
         }
         const bool whole = is_whole(block);
         for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
-            for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
-                block->joint[i].gram[k] *= block->fade;
-            }
-            for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
-                block->joint[i].sum[k] *= block->fade;
-            }
+            add_joint(self, i, block->fade, block, 0.0, block);
             block->instants[i] *= block->fade;
         }
         block->total *= block->fade;
@@ -422,7 +451,7 @@ uint32_t zygos_motor_sums_drop_until(zygos_motor_sums_t *self, uint64_t cycle)
         drop++;
     }
     for (uint32_t b = drop; (drop > 0) && (b < self->count); b++) {
-        self->block[b - drop] = self->block[b];
+        copy_block(self, &self->block[b - drop], &self->block[b]);
     }
     self->count -= drop;
     self->checksum = checksum_of(self);
@@ -474,7 +503,7 @@ bool zygos_motor_sums_scrub(zygos_motor_sums_t *self, const zygos_config_t *conf
             continue;
         }
         if (to != b) {
-            self->block[to] = self->block[b];
+            copy_block(self, &self->block[to], &self->block[b]);
         }
         to++;
     }

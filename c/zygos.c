@@ -27,7 +27,7 @@ _Static_assert((sizeof(zygos_joint_config_t) ==
 #define LARGEST_SUM 1e150
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 #define LONGEST_INCREMENT 1000000u
-#define IDLE_PARTS 4u /* parts of tasks in a cycle without rows, which cost less than the rows */
+#define IDLE_PARTS 2u /* parts of tasks in a cycle without rows, which cost less than the rows */
 #define SHORTEST 8u   /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
@@ -251,16 +251,9 @@ static uint64_t folded(uint64_t fold, const double *x, uint32_t n)
     return fold;
 }
 
-/* Of the integrals of the effects, in the energy rows and in the motor rows. */
-static uint64_t effects_of(const zygos_t *self)
-{
-    const uint32_t n = least(self->config.effects, (uint32_t)ZYGOS_MAX_EFFECTS);
-    uint64_t fold = folded(folded(0, self->balance.effects.total, n), self->impulse.total, n);
-    for (uint32_t k = 0; k < 3u; k++) {
-        fold = folded(folded(fold, self->balance.effects.past[k], n), self->impulse.before[k], n);
-    }
-    return fold;
-}
+/* Members of one kind that lie side by side, in doubles, with those of joints that the arm does not have. */
+#define FROM_TO(type, first, last)                                                                                     \
+    ((uint32_t)((offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first)) / sizeof(double)))
 
 /* Of the places, counts and integrals that one cycle leaves to the next. A bit that flips there would spoil the rest of
    an arc. */
@@ -269,29 +262,22 @@ static uint64_t moving_of(const zygos_t *self)
     const zygos_config_t *config = &self->config;
     const zygos_balance_t *balance = &self->balance;
     const zygos_impulse_t *impulse = &self->impulse;
-    const uint32_t n = least(config->joints, (uint32_t)ZYGOS_MAX_JOINTS);
     const uint32_t counts = self->arc ^ self->ending ^ self->smoother.position ^ self->smoother.filled ^
                             balance->instants ^ balance->origin ^ balance->torque_at ^ impulse->instants ^
                             impulse->origin ^ self->momentum.instants ^ self->momentum.origin ^
                             self->motor_sums.cycles ^ self->momentum_sums.cycles;
-    uint64_t fold = folded(counts, &balance->work, 1u);
-    fold = folded(folded(fold, balance->dissipation, n), balance->theta, n);
-    for (uint32_t k = 0; k < 3u; k++) {
-        fold = folded(fold, balance->dissipation_rate[k], n);
-    }
+    uint64_t fold = folded(counts, &balance->work, FROM_TO(zygos_balance_t, work, dissipation_rate));
     if (config->impulse_arc_cycles > 0) {
-        fold = folded(folded(fold, impulse->impulse, n), impulse->deflection_integral, n);
-        for (uint32_t k = 0; k < 3u; k++) {
-            fold = folded(fold, impulse->past[k], n);
-        }
+        fold = folded(fold, impulse->impulse, FROM_TO(zygos_impulse_t, impulse, past));
     }
     if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
-        fold = folded(fold, self->momentum.attitude, 4u);
-        for (uint32_t k = 0; k < 3u; k++) {
-            fold = folded(fold, self->momentum.past[k], 3u);
-        }
+        fold = folded(fold, self->momentum.attitude, FROM_TO(zygos_momentum_t, attitude, past));
     }
-    return (config->effects > 0) ? fold ^ effects_of(self) : fold;
+    if (config->effects > 0) {
+        fold = folded(fold, balance->effects.total, FROM_TO(zygos_effects_t, total, past));
+        fold = folded(fold, impulse->total, FROM_TO(zygos_impulse_t, total, before));
+    }
+    return fold;
 }
 
 /* Whether a cycle accesses nothing outside *self. Those that do not follow from the configuration change; they are

@@ -40,8 +40,12 @@
 extern "C" {
 #endif
 
-/// The largest number of columns of a joint's row: Im, k, b and the effects at the joint.
+/// The largest number of columns of a joint's row: Im, k, b and the effects at the joint, of each kind at most one.
+#if ZYGOS_MAX_EFFECTS < ZYGOS_EFFECT_KINDS
 #define ZYGOS_MAX_IMPULSE (3 + ZYGOS_MAX_EFFECTS)
+#else
+#define ZYGOS_MAX_IMPULSE (3 + ZYGOS_EFFECT_KINDS)
+#endif
 #define ZYGOS_MAX_PACKED_IMPULSE (ZYGOS_MAX_IMPULSE * (ZYGOS_MAX_IMPULSE + 1) / 2)
 
 /// The state of the integrals.

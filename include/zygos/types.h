@@ -315,6 +315,9 @@ enum zygos_effect_kind {
         7 ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
 };
 
+/// Their number.
+#define ZYGOS_EFFECT_KINDS 8
+
 /// One effect to identify.
 typedef struct {
     uint32_t kind;  ///< enum zygos_effect_kind.
