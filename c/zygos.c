@@ -539,20 +539,21 @@ static void suspect(zygos_t *self)
     self->places = ~places_of(self);
 }
 
-/* The motor impulse rows of the newest instant, which have arcs of their own. Returns whether a task proceeded. */
-static bool add_impulses(zygos_t *self)
+/* The motor impulse rows of the newest instant, which have arcs of their own. busy: this cycle has done something that
+   costs as much as the part of a task; one is enough. Returns the same. */
+static bool add_impulses(zygos_t *self, bool busy)
 {
     const zygos_config_t *config = &self->config;
     if (config->impulse_arc_cycles == 0) {
-        return false;
+        return busy;
     }
     if (zygos_impulse_row(&self->impulse, config, &self->motor_sums.column_map, &self->arm_state, &self->motion,
                           zygos_balance_torque_before(&self->balance),
                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
-        return false;
+        return busy;
     }
     zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
-    const bool busy = zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
+    busy = busy || zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
     if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
         end_joint_arc(self, self->cycle);
         zygos_impulse_new_arc(&self->impulse);
@@ -560,8 +561,7 @@ static bool add_impulses(zygos_t *self)
     return busy;
 }
 
-/* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. busy: a task proceeded.
-   Returns the same. */
+/* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. busy: as above. */
 static bool add_momentum(zygos_t *self, bool busy)
 {
     const zygos_config_t *config = &self->config;
@@ -579,25 +579,27 @@ static bool add_momentum(zygos_t *self, bool busy)
     return busy;
 }
 
-/* The joint rows: integrals of the newest instant, the row that is due, and the next part of a complete segment. */
-static void add_joints(zygos_t *self)
+/* The joint rows: integrals of the newest instant, the row that is due, and the next part of a complete segment.
+   Returns whether there was a row. */
+static bool add_joints(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
     if ((ZYGOS_JOINT_ROWS == 0) || (config->joint_row_cycles == 0)) {
-        return;
+        return false;
     }
     zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted);
     if (zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
                         &self->joint_row) == 0) {
-        return;
+        return false;
     }
     if (zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row)) {
         zygos_guard_end_joints(&self->guard, config, &self->joint_sums, self->cycle, &self->joints_forgetting);
     }
+    return true;
 }
 
-/* The energy row of the newest instant. busy: a task of other rows proceeded; one is enough for a cycle. */
+/* The energy row of the newest instant. busy: as above. */
 static void add_energy(zygos_t *self, bool busy)
 {
     const zygos_config_t *config = &self->config;
@@ -676,9 +678,7 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
         end_waiting(self, true);
     }
     zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
-    const bool busy = add_momentum(self, add_impulses(self));
-    add_joints(self);
-    add_energy(self, busy);
+    add_energy(self, add_momentum(self, add_impulses(self, add_joints(self))));
 }
 
 /* Not memcmp(): compilers make a call of bcmp() of it. A configuration has no padding. */
