@@ -9,7 +9,6 @@
 #define FEWEST 4u
 #define MOST 1024u /* largest initial length of a segment in instants */
 #define MIN_BUFFERS 3u
-#define CLEARED_AT_ONCE 4u /* parts of a task that only clears, in one cycle */
 /* The newest blocks of the open arc that may still be added to: two of the open segment, and one of the segment before,
    whose last rows may wait in a buffer. */
 #define IN_USE 3u
@@ -317,7 +316,7 @@ static void clear_block(zygos_block_t *block, uint32_t width)
 
 static void proceed_clear(zygos_accumulator_t *self)
 {
-    const uint32_t end = zygos_accumulator_part(self, CLEARED_AT_ONCE);
+    const uint32_t end = zygos_accumulator_part(self, 1u);
     const uint32_t first = zygos_gram_entries(self->row);
     zygos_block_t *block = at(self, first_of(self->places));
     memset(&block->gram[first], 0, (zygos_gram_entries(end) - first) * sizeof block->gram[0]);

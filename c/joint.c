@@ -26,10 +26,14 @@ static uint32_t after(uint32_t half)
 
 void zygos_joint_reset(zygos_joint_t *self, const zygos_config_t *config)
 {
+    self->turn = config->joints;
+    if (config->joint_row_cycles == 0) {
+        return; /* nobody uses what else there is */
+    }
     memset(self, 0, sizeof *self);
     self->turn = config->joints;
     /* The fourth instant ends a half, of which there is nothing. */
-    self->position = (config->joint_row_cycles > 0) ? config->joint_row_cycles / 2u - 4u : 0u;
+    self->position = config->joint_row_cycles / 2u - 4u;
 }
 
 bool zygos_joint_intact(const zygos_joint_t *self, const zygos_config_t *config)

@@ -229,7 +229,8 @@ static double violation(const zygos_momentum_gram_t *rows, uint32_t width, doubl
 uint32_t zygos_momentum_sums_part(const zygos_momentum_sums_t *self)
 {
     const uint32_t width = width_of(self);
-    const uint32_t part = (zygos_gram_entries(width) + ZYGOS_MOMENTUM_PASS_CYCLES - 1u) / ZYGOS_MOMENTUM_PASS_CYCLES;
+    const uint32_t share = (zygos_gram_entries(width) + ZYGOS_MOMENTUM_PASS_CYCLES - 1u) / ZYGOS_MOMENTUM_PASS_CYCLES;
+    const uint32_t part = (share > ZYGOS_MOMENTUM_LEAST_PART) ? share : ZYGOS_MOMENTUM_LEAST_PART;
     uint32_t end = self->row;
     for (uint32_t n = 0; (end < width) && (n < part); end++) {
         n += end + 1u;

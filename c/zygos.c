@@ -27,7 +27,8 @@ _Static_assert((sizeof(zygos_joint_config_t) ==
 #define LARGEST_SUM 1e150
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 #define LONGEST_INCREMENT 1000000u
-#define IDLE_PARTS 2u /* parts of tasks in a cycle without rows, which cost less than the rows */
+/* Parts of tasks in a cycle without rows, which cost less than the rows; one more where these are compensated. */
+#define IDLE_PARTS 2u
 #define SHORTEST 8u   /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
@@ -484,7 +485,8 @@ static void gap(zygos_t *self)
 static void idle(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
-    for (uint32_t part = 0; part < IDLE_PARTS; part++) {
+    const uint32_t parts = IDLE_PARTS + ((config->compensation > 0) ? 1u : 0u);
+    for (uint32_t part = 0; part < parts; part++) {
         zygos_accumulator_share_slice(&self->accumulator);
         if (self->motor_sums.task != ZYGOS_MOTOR_NONE) {
             (void)zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
@@ -623,7 +625,9 @@ static void add_energy(zygos_t *self, bool busy)
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
                         self->arc, self->arm_state.accepted, noise->gram, noise->sum);
     const bool opened = zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
-    if (!opened && !busy) {
+    /* The noise of the first link is that of all bodies, which costs the most. */
+    const bool dear = (config->compensation > 1) && (self->arc % config->compensation == 0);
+    if (!opened && !busy && !dear) {
         zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
     }
     if (!whole) {

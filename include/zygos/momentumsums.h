@@ -46,8 +46,10 @@ typedef struct {
     uint64_t checksum;          ///< Closed arcs: of instants, fade and end.
 } zygos_momentum_block_t;
 
-/// Number of cycles in which a task reads or changes each entry of a block once.
-#define ZYGOS_MOMENTUM_PASS_CYCLES 4u
+/// Number of cycles in which a task reads or changes each entry of a block once, and the least number of entries in one
+/// cycle.
+#define ZYGOS_MOMENTUM_PASS_CYCLES 6u
+#define ZYGOS_MOMENTUM_LEAST_PART 48u
 
 /// The tasks, which are done beside the rows of a cycle.
 #define ZYGOS_MOMENTUM_NONE 0u
