@@ -49,7 +49,7 @@ typedef struct {
 /// Number of cycles in which a task reads or changes each entry of a block once, and the least number of entries in one
 /// cycle.
 #define ZYGOS_MOMENTUM_PASS_CYCLES 6u
-#define ZYGOS_MOMENTUM_LEAST_PART 48u
+#define ZYGOS_MOMENTUM_LEAST_PART 24u
 
 /// The tasks, which are done beside the rows of a cycle.
 #define ZYGOS_MOMENTUM_NONE 0u

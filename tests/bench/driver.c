@@ -38,7 +38,7 @@ enum kind {
                    of joint rows is complete */
     KIND_ARC,   /* the row begins or ends its arc, or that of the motor or momentum rows */
     KIND_CYCLE, /* any other row */
-    KIND_EARLY  /* an arc ends while the one before is closing, whose tasks are finished at once */
+    KIND_EARLY  /* an arc ends while the one before is closing, or has waited for that */
 };
 
 /* What a cycle was, and all on which its cost may depend beside its data: its frames, whose turn it is, and where rings

@@ -1,4 +1,5 @@
-"""Write the bytes of the three structs into docs/integrate.md, and their sums into README.md and docs/cost.md.
+"""Write the bytes of the three structs into docs/integrate.md, their sums into README.md and docs/cost.md, and where
+the bytes are, beside the budgets, into docs/cost.md.
 
 PYTHONPATH=tests:tests/support python -m bench.sizes
 """
@@ -15,13 +16,30 @@ from zygos.files.output import write_text
 
 ROW = re.compile(r"^(\| (\d) \| (\d) \| (\d+) \|).*$", re.M)
 """A row of the manual's table: joints, whether spatial, blocks."""
+STRUCTS = {
+    "arm": "zygos_t", "work": "zygos_work_t", "estimate": "zygos_estimate_t", "energy": "zygos_accumulator_t",
+    "motors": "zygos_motor_sums_t", "momentum": "zygos_momentum_sums_t", "joints": "zygos_joint_sums_t",
+}  # fmt: skip
+USUAL, LEAST = "usual capacities", "least capacities"
+SMALLEST = (
+    "MAX_BLOCKS=12", "MAX_MOTOR_BLOCKS=4", "MAX_MOMENTUM_BLOCKS=4", "MAX_EFFECTS=0", "MAX_REDUCTION=0", "JOINT_ROWS=0",
+)  # fmt: skip
+"""The least numbers of blocks, no effects and no joint rows, which a free base with springs does not need."""
+PLANAR = ("MAX_JOINTS=2", "SPATIAL=0")
+BUILDS = (
+    ("2 joints in a plane", 42, PLANAR, (*SMALLEST, "MAX_PARAMETERS=12")),
+    ("3 joints in space", 395, ("MAX_JOINTS=3",), SMALLEST),
+    ("7 joints in space", 3400, ("MAX_JOINTS=7",), SMALLEST),
+)
+"""Arm, budget in kB of the three structs, capacities, and those of the least build beside them."""
+BEGIN, END = "<!-- python -m bench.sizes writes this -->\n", "<!-- to here -->"
 
 
-def sizes(joints: str, spatial: str, blocks: str) -> dict[str, int]:
-    """Bytes of zygos_t, zygos_work_t and zygos_estimate_t at these capacities, by the compiler of this machine."""
-    flags = [f"-DZYGOS_MAX_JOINTS={joints}", f"-DZYGOS_SPATIAL={spatial}", f"-DZYGOS_MAX_BLOCKS={blocks}"]
-    source = '#include "zygos/zygos.h"\nchar arm[sizeof(zygos_t)], work[sizeof(zygos_work_t)], '
-    source += "estimate[sizeof(zygos_estimate_t)];\n"
+def sizes(*capacities: str) -> dict[str, int]:
+    """Bytes of each struct at these capacities, without their prefix, by the compiler of this machine."""
+    flags = [f"-DZYGOS_{capacity}" for capacity in capacities]
+    rooms = ", ".join(f"{name}[sizeof({struct})]" for name, struct in STRUCTS.items())
+    source = f'#include "zygos/zygos.h"\nchar {rooms};\n'
     with TemporaryDirectory() as folder:
         out = str(Path(folder, "sizes.o"))
         command = ["cc", "-std=c11", *flags, "-I", str(ROOT / "include"), "-x", "c", "-c", "-o", out, "-"]
@@ -30,20 +48,44 @@ def sizes(joints: str, spatial: str, blocks: str) -> dict[str, int]:
     return {name: int(size) for size, name in re.findall(r"^\d+ 0*(\d+) B (\w+)$", listed, re.M)}
 
 
+def total(size: dict[str, int]) -> int:
+    """Bytes of the three structs that a program needs."""
+    return size["arm"] + size["work"] + size["estimate"]
+
+
+def profile() -> str:
+    """The table of where the bytes are, in kB."""
+    head = ["", "budget", "together", "energy rows", "motor rows", "momentum rows", "joint rows", "rest of the state",
+            "work beside its copy", "estimate"]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
+    kinds = ("energy", "motors", "momentum", "joints")
+    for title, budget, usual, least in BUILDS:
+        for name, capacities in ((USUAL, usual), (LEAST, (*usual, *least))):
+            size = sizes(*capacities)
+            copied = sum(size[kind] for kind in kinds)
+            cells = [size[kind] for kind in kinds]
+            cells = [total(size), *(2 * cell for cell in cells), size["arm"] - copied, size["work"] - copied]
+            shown = [f"{cell / 1000:,.0f}" for cell in [*cells, size["estimate"]]]
+            lines.append(f"| {title}, {name} | {budget:,} | " + " | ".join(shown) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def main() -> None:
-    """Measure every row that the manual has."""
+    """Measure every row that the manual has, and the budgets."""
 
     def row(found: re.Match[str]) -> str:
-        size = sizes(found[2], found[3], found[4])
-        cells = (size["arm"], size["work"], size["estimate"], sum(size.values()))
+        size = sizes(f"MAX_JOINTS={found[2]}", f"SPATIAL={found[3]}", f"MAX_BLOCKS={found[4]}")
+        cells = (size["arm"], size["work"], size["estimate"], total(size))
         return f"{found[1]} {' | '.join(f'{cell:,}' for cell in cells)} |"
 
     manual, readme, cost = ROOT / "docs" / "integrate.md", ROOT / "README.md", ROOT / "docs" / "cost.md"
     write_text(manual, ROW.sub(row, manual.read_text()))
-    small, large = (sum(sizes(*capacities).values()) for capacities in (("2", "0", "64"), ("7", "1", "64")))
+    small, large = total(sizes(*PLANAR)), total(sizes("MAX_JOINTS=7"))
     text = re.sub(r"take \d+ kB at -DZYGOS", f"take {small / 1000:.0f} kB at -DZYGOS", readme.read_text())
     write_text(readme, re.sub(r"(estimate, take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", text))
-    write_text(cost, re.sub(r"(joints take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", cost.read_text()))
+    text = re.sub(r"(joints take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", cost.read_text())
+    before, _, rest = text.partition(BEGIN)
+    write_text(cost, before + BEGIN + "\n" + profile() + "\n" + END + rest.partition(END)[2])
 
 
 if __name__ == "__main__":

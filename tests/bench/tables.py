@@ -23,10 +23,11 @@ SIZED = [name for name in CONFIGURATIONS if name.endswith(BARE) or name == "grou
 
 BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 4500, ("m7", "seven, bare"): 150_000}
 """Most instructions of a full cycle, by target and configuration."""
-HELD = BUDGETS | {("x86-64", "paper, bare"): 4700, ("m7", "paper, bare"): 4900}
+HELD = BUDGETS | {("x86-64", "paper, bare"): 4900, ("m7", "paper, bare"): 5250}
 """What is held: the budgets that are met, and what stands in for those that are not. Each cycle verifies the places by
-which it addresses memory (docs/upset.md), which takes 2.5 %, and has its share of the work beside the rows."""
-FLAT = 1.85
+which it addresses memory and the integrals (docs/upset.md), which takes up to 9 %, and has its share of the work beside
+the rows."""
+FLAT = 1.6
 """Most that a cycle costs relative to the mean, unless an arc ends while the one before it is closing."""
 QUARTER = 0.25
 """Most that balance and accumulator take of the instructions of Pinocchio, as it comes, and Eigen; paper's arm."""

@@ -135,8 +135,8 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
             inside = longest
             continue
         at = native.balance.torque_at
-        before = native.balance.torque[at]
-        after = native.balance.torque[0 if at == config.smoother_half_width else at + 1]
+        before = native.balance.torque[0][at]
+        after = native.balance.torque[0][0 if at == config.smoother_half_width else at + 1]
         of_arc = lib.zygos_impulse_row(impulse, config, column_map, parts[1], parts[2], before, after, pushed)
         assert lib.zygos_momentum_advance(momentum, config, parts[1]) == of_arc
         if not of_arc:

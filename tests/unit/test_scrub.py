@@ -196,6 +196,46 @@ def test_no_cycle_is_processed_with_an_impossible_place(
     assert flight.estimate().validity == "valid"
 
 
+MOVING = (
+    ("", "arc", 3), ("", "ending", 0), ("smoother", "position", 1), ("smoother", "filled", 2), ("balance", "work", 40),
+    ("balance", "dissipation", 50), ("balance", "theta", 20), ("balance", "dissipation_rate", 52),
+    ("impulse", "impulse", 45), ("impulse", "deflection_integral", 51), ("impulse", "past", 30),
+    ("momentum", "attitude", 48), ("momentum", "past", 35), ("motor_sums", "cycles", 2), ("momentum_sums", "cycles", 2),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("struct", "member", "bit"), MOVING)
+def test_no_cycle_is_processed_with_an_integral_or_a_count_that_changed(
+    flight: Flight, motion: Cycles, pristine: Any, struct: str, member: str, bit: int
+) -> None:
+    """Only the open arcs are dropped."""
+    flip(getattr(flight.native, struct) if struct else flight.native, member, bit)
+    before, arcs = bytes_of(flight.native), flight.native.accumulator.arcs
+    assert lib.zygos_cycle(flight.native, ffi.new("zygos_cycle_t *")) == lib.ZYGOS_E_STATE
+    assert bytes_of(flight.native) == before
+    assert lib.zygos_scrub(flight.native, pristine) & PLACES
+    assert flight.native.accumulator.count == flight.native.accumulator.open
+    assert flight.native.accumulator.arcs == arcs
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    fly(flight, motion, 1, np.random.default_rng(1))
+    assert flight.estimate().validity == "valid"
+
+
+@pytest.mark.parametrize("copy", [0, 1])
+def test_a_torque_that_changed_while_it_waited_stops_the_cycles(
+    flight: Flight, motion: Cycles, pristine: Any, copy: int
+) -> None:
+    balance = flight.native.balance
+    at = (balance.torque_at + 2) % (flight.native.config.smoother_half_width + 1)
+    place = 7 + ffi.sizeof(balance.torque[0][0]) * (copy * len(balance.torque[0]) + at)
+    memory = ffi.buffer(ffi.addressof(balance, "torque"))
+    memory[place] = bytes([memory[place][0] ^ 64])
+    rest = part(again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(1)), 0, 10)
+    flight.cycles(replace(rest, flags=np.zeros(len(rest), dtype=np.uint32)))
+    assert lib.zygos_scrub(flight.native, pristine) & TABLES
+    assert flight.native.accumulator.count == flight.native.accumulator.open
+
+
 @pytest.mark.parametrize("member", ["count", "open", "newest", "window", "target", "arcs", "checksum"])
 @pytest.mark.parametrize("bit", [0, 2, 30])
 def test_what_tells_which_blocks_there_are_is_flipped_back(
@@ -464,9 +504,12 @@ def test_the_magic_number_is_repaired_where_one_bit_is_wrong(flight: Flight, pri
     assert lib.zygos_scrub(ffi.new("zygos_t *"), pristine) == lib.ZYGOS_E_ORDER
 
 
-def test_a_sample_that_changed_in_the_window_stops_the_cycles(flight: Flight, motion: Cycles, pristine: Any) -> None:
+@pytest.mark.parametrize(("member", "index"), [("angle", 0), ("omega", 0), ("omega", 2)])
+def test_a_sample_that_changed_in_the_window_stops_the_cycles(
+    flight: Flight, motion: Cycles, pristine: Any, member: str, index: int
+) -> None:
     assert flight.native.smoother.filled == flight.native.smoother.window
-    flip(flight.native.smoother.sample[1], "angle", 30)
+    flip(flight.native.smoother.sample[1], member, 62, index)
     rng = np.random.default_rng(1)
     flight.cycles(part(again(flight.arm, motion, int(flight.native.cycle) + 1, rng), 0, 60))
     assert lib.zygos_scrub(flight.native, pristine) & TABLES

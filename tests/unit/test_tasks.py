@@ -20,7 +20,7 @@ from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 
-ADMIT, MOMENTUM_ADMIT = 6, 5
+CENTRE, ADMIT, MOMENTUM_ADMIT = 4, 6, 5
 ARCS = 40
 SEEDS = 40
 
@@ -178,6 +178,42 @@ def test_arcs_that_are_dropped_amid_tasks_leave_the_sums_whole(arm: Arm, motion:
         for cycles in pieces(flight.arm, motion, rng, voids=True):
             flight.cycles(cycles)
             assert intact(flight), seed
+
+
+def test_an_arc_that_a_gap_ends_waits_until_the_one_before_it_is_closed(arm: Arm, motion: Cycles) -> None:
+    """Its end comes in the cycles without rows, or before the first row where there are too few of them."""
+    short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0, compensate_every=1)
+    flight = Flight(short)
+    cycles, state = again(short, motion, 1, np.random.default_rng(0)), flight.native
+    end = 0
+    while not (state.accumulator.fresh > state.accumulator.open and state.arc >= 20):  # closing, and open
+        flight.cycles(part(cycles, end, end + 1))
+        end += 1
+    behind = part(again(short, motion, end + 3, np.random.default_rng(1)), 0, 60)
+    waited = 0
+    for k in range(len(behind)):
+        flight.cycles(part(behind, k, k + 1))
+        waited += int(state.ending != 0)
+        assert state.ending == 0 or state.ended == end
+    assert 0 < waited <= state.smoother.window
+    assert counters(flight)["arcs"] == 2
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.0 + 2.0**-20])
+def test_an_entry_that_changes_while_the_constant_is_eliminated_leaves_the_arc_out(
+    arm: Arm, motion: Cycles, factor: float
+) -> None:
+    """It was compared with the row sums before."""
+    short = replace(with_all_rows(arm), arc_max_s=10.0, impulse_arc_s=0.0, momentum_max_s=0.0)
+    flight = Flight(short)
+    cycles, sums, end = again(short, motion, 1, np.random.default_rng(0)), flight.native.accumulator, 0
+    while not (sums.task == CENTRE and sums.row > 0):
+        flight.cycles(part(cycles, end, end + 1))
+        end += 1
+    sums.block[sums.places & 255].gram[(sums.row + 1) * (sums.row + 4) // 2] *= factor  # a later row's diagonal
+    flight.cycles(part(cycles, end, end + 100))
+    assert sums.fresh == sums.open
+    assert (sums.arcs, sums.quarantined) == ((1, 0) if factor == 1.0 else (0, 1))
 
 
 @pytest.mark.parametrize(("kind", "task"), [("accumulator", ADMIT), ("momentum_sums", MOMENTUM_ADMIT)])
