@@ -170,6 +170,10 @@ class Layout:
         by_name = {one.name: one for one in listed}
         return tuple(sorted(by_name.values(), key=lambda one: one.kind.place == "sensor"))
 
+    def covers(self, one: Acting) -> bool:
+        """Whether an error of the sensors that each run has for itself stands for an entry."""
+        return one.plain in self._covered
+
     @cached_property
     def _covered(self) -> frozenset[str]:
         """Columns of effects for which the errors of the sensors of each run stand."""
