@@ -193,11 +193,13 @@ class _Explainer:
         return np.asarray(table.layout.start[:own] + found.after.x[:own], dtype=np.float64)
 
     def _explains_more(self, wider: tuple[Table, Search], usual: tuple[Table, Search]) -> bool:
-        """Whether a search among more entries leaves a good deal less over on every run that was learned from."""
+        """Whether a search among more entries leaves a good deal less over on every run that was learned from, each joint
+        in units of its noise: the largest joint's would hide what the others show."""
         names = {one.name for one in usual[1].named}
         if all(one.name in names for one in wider[1].named):
             return False
-        after, before = (residual(table, found.after.x) for table, found in (wider, usual))
+        unit = np.fmin(wider[0].floor, usual[0].floor) ** 2
+        after, before = (residual(table, found.after.x) / unit for table, found in (wider, usual))
         return bool(np.all(after.sum(axis=1) < _MUCH * before.sum(axis=1)))
 
     def _in_nm(self, motions: Sequence[Motion], span: float) -> list[Motion]:

@@ -99,10 +99,11 @@ class Search:
 
     @property
     def beyond(self) -> tuple[Tried, ...]:
-        """Entries that are searched last, where nothing was named: their limits hold beside the simulation's own
-        equations."""
+        """Entries that are searched last, where nothing was named but gains of torque sensors: their limits hold beside
+        the simulation's own equations and these gains."""
         usual = {one.name for one in self.rounds[0]} if self.rounds else set()
-        return () if self.named else tuple(one for one in self.last if one.name not in usual)
+        nothing = all(is_gain(one.candidate) for one in self.named)
+        return tuple(one for one in self.last if one.name not in usual) if nothing else ()
 
 
 def threshold(count: int) -> float:
