@@ -434,7 +434,14 @@ class _Explainer:
                     told = self._gap(delivered, refit, later.after, later, SYSTEMATIC)
                     if _closes_before(earlier) if told is None else _predicts(told) or _closes_with(earlier, told):
                         return later, told, changed
-        return found, self._gap(delivered, refit, found.after, found), None
+        gap = self._gap(delivered, refit, found.after, found)
+        if every is None and gap is not None and gap.struck is not None and _worse(gap, gap.struck):
+            # a share of a large excess says little: what the untouched run speaks against stood for something else
+            _, wider = self._wider(basis)
+            instead = None if wider is None or not wider.named else self._gap(delivered, refit, wider.after, wider)
+            if wider is not None and instead is not None and closes(instead):
+                return wider, instead, None
+        return found, gap, None
 
     def _wider(self, basis: Study) -> tuple[Study | None, Search | None]:
         """The basis with every entry of the catalogue, and the search among them; None where the runs do not tell their
