@@ -356,7 +356,8 @@ def balance_rows(
 
     values: base parameters (p,), about right: what an error of a sensor does to the balances, and the torque through a
     gear, depend on them. zeros: the columns of these errors, by balance, as `zero_columns` has them; sizes: as there.
-    every: rows stand at every so many instants. One of values and zeros may be left out: values where no effect depends on the load.
+    every: rows stand at every so many instants. One of values and zeros may be left out: values where no effect depends
+    on the load.
     """
     arm = layout.arm
     if zeros is None:
@@ -388,9 +389,10 @@ def zero_columns(
     """By balance (..., A, m, ·): what errors of the sensors of 1 unit would take away, to first order: the entries of
     the catalogue at sensors, then the errors that each run has for itself.
 
-    sizes: of entries at sensors as far as they are known, by name: the column of such an error is what this size of it
-    has taken away, per unit, since that of a large error is not in proportion to it. known: columns of layouts of the same arm, for the same readings and values, that need not be computed again; those
-    that are missing are added.
+    sizes: of entries at sensors as far as they are known, by name: the column of such an error is what an error of this
+    size has taken away, per unit, because a large one is not in proportion to a small one. known: columns of layouts of
+    the same arm, for the same readings, values and sizes, that need not be computed again; those that are missing are
+    added.
     """
     value = np.where(np.isfinite(values), values, 0.0)
     names = layout.arm.parameter_names

@@ -94,6 +94,7 @@ from zygos.gap.verdicts import (
     RunsDisagree,
     SkewedEncoders,
     StillLeft,
+    TorquesMisread,
     TorquesSampled,
     Unexplained,
     ValuesDiffer,
@@ -381,10 +382,20 @@ class _Explainer:
             if beside is not None:
                 told = self._gap(delivered, refit, beside.after, beside)
                 if told is not None and closes(told):
+                    self._remark(self._misread(beside.after))
                     return beside, told
         self._take(taken)
         self.remarks = remarks
         return None
+
+    def _misread(self, study: Study) -> TorquesMisread:
+        """The constant errors of the torque sensors, as means over the measured runs."""
+        mean = dict(zip(study.layout.zeros, study.zeros.mean(axis=0).tolist(), strict=True))
+        each = [
+            (joint.name, mean.get(f"torque_zero{k}", 0.0), mean.get(f"torque_scale{k}", 0.0))
+            for k, joint in enumerate(self.arm.joints, 1)
+        ]
+        return TorquesMisread(tuple(each))
 
     def _own_equations(self) -> Study:
         hypothesis = replace(read_hypothesis(Layout(self.arm), self.simulation), without=self.without)

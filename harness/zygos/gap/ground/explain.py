@@ -193,8 +193,9 @@ class _Explainer:
         return np.asarray(table.layout.start[:own] + found.after.x[:own], dtype=np.float64)
 
     def _explains_more(self, wider: tuple[Table, Search], usual: tuple[Table, Search]) -> bool:
-        """Whether a search among more entries leaves a good deal less over on every run that was learned from, each joint
-        in units of its noise: the largest joint's would hide what the others show."""
+        """Whether a search among more entries leaves a good deal less over on every run that was learned from.
+
+        Each joint counts in units of its noise: the residual of a large one would hide what the others show."""
         names = {one.name for one in usual[1].named}
         if all(one.name in names for one in wider[1].named):
             return False
