@@ -337,7 +337,7 @@ def predicted(answer: Answer, gap: Gap, *, added: bool) -> list[str]:
 # remarks
 
 
-def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
+def remark(found: Remark) -> str:  # noqa: PLR0911, PLR0912  (one sentence a remark)
     """What a remark says."""
     match found:
         case TorquesSampled():
