@@ -45,7 +45,7 @@ _SHIFT = 1e-6
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _INVERTED = 4
 """Steps by which an error of a sensor is taken off readings; each leaves so large a share of what the one before left
-as the error is of the reading."""
+as the error changes by where the reading changes."""
 _SEEN = ("q", "theta", "omega0")
 """Fields of `Readings` that an entry of the catalogue at a sensor changes."""
 NONE: Mapping[str, float] = MappingProxyType({})
