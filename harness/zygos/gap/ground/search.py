@@ -163,6 +163,15 @@ def without(table: Table, found: Search, left_out: Sequence[str]) -> Search:
     return replace(found, after=fitted, named=tuple(_beside_the_others(table, names)), sets=sets)
 
 
+def beside_all(table: Table, found: Search) -> Search:
+    """A search with every other candidate of the table beside what it named: what had been named and was dropped again
+    has a limit as well."""
+    taken = {(one.candidate.key, one.candidate.joint) for one in found.named}
+    listed = [one for one in table.layout.candidates if (one.key, one.joint) not in taken]
+    tried = try_all(table, found.after, listed)
+    return replace(found, last=tuple(sorted(tried, key=lambda one: (not one.passes, -one.gain))))
+
+
 def try_all(table: Table, fitted: Fit, candidates: Sequence[Candidate]) -> list[Tried]:
     """Every candidate, each alone beside the columns of a fit, judged."""
     scores = score(table, fitted, [table.layout.at(one.name) for one in candidates])
