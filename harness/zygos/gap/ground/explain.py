@@ -121,7 +121,7 @@ class _Explainer:
         if self._explains_more(wider, (table, found)):
             table, found = wider
         else:
-            found = replace(found, last=wider[1].rounds[-1] if wider[1].rounds else ())
+            found = beside_all(wider[0], found)
         table, found = with_best_shapes(
             self.simulation, table, found, self._bodies(table, found), lambda name: self.step(0.75, f"found {name}")
         )

@@ -164,11 +164,13 @@ def without(table: Table, found: Search, left_out: Sequence[str]) -> Search:
 
 
 def beside_all(table: Table, found: Search) -> Search:
-    """A search with every other candidate of the table beside what it named: what had been named and was dropped again
-    has a limit as well."""
+    """A search with every other candidate of a table beside what it named: an entry that a wider search named, and that
+    was not kept, has a limit as well."""
+    layout, names = table.layout, [one.name for one in found.named]
     taken = {(one.candidate.key, one.candidate.joint) for one in found.named}
-    listed = [one for one in table.layout.candidates if (one.key, one.joint) not in taken]
-    tried = try_all(table, found.after, listed)
+    listed = [one for one in layout.candidates if (one.key, one.joint) not in taken]
+    fitted = fit(table, [*layout.basis, *(layout.at(name) for name in names)])
+    tried = try_all(table, fitted, listed) if listed else []
     return replace(found, last=tuple(sorted(tried, key=lambda one: (not one.passes, -one.gain))))
 
 
