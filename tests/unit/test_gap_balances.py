@@ -226,7 +226,10 @@ def test_columns_of_errors_that_are_known_are_not_computed_again() -> None:
     assert all(np.all(own[..., 0] == 7.0) for own in zero_columns(Layout(arm), plain, base, known=known))
 
 
-@pytest.mark.parametrize(("key", "size"), [("gyro_scale", 0.05), ("link_scale", 0.05), ("link_eccentricity_sin", 0.02), ("motor_eccentricity_sin", 2e-4)])
+@pytest.mark.parametrize(
+    ("key", "size"),
+    [("gyro_scale", 0.05), ("link_scale", 0.05), ("link_eccentricity_sin", 0.02), ("motor_eccentricity_sin", 2e-4)],
+)
 def test_a_large_error_of_a_sensor_has_the_column_of_its_size(key: str, size: float) -> None:
     """Readings with the error and so much of its column leave what exact readings leave; to first order they do not."""
     arm, model, _ = example()
