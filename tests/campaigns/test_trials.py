@@ -150,3 +150,53 @@ def test_a_shape_that_no_run_tells_from_a_parameter_is_no_refusal(tmp_path: Path
     """The gap next to the one that is found is wider than the spring ever bends."""
     verdict, _ = _asked("planar/backlash/elbow/x3", 0, tmp_path)
     assert verdict["answer"] in {"named", "part named", "nothing missing", "cannot tell"}, verdict["sentence"]
+
+
+@pytest.mark.parametrize("cell", ["cubic_stiffness/elbow", "cubic_stiffness/shoulder", "motor_viscous/shoulder"])
+def test_coarse_encoders_do_not_hide_what_torque_sensors_do_to_predictions(cell: str, tmp_path: Path) -> None:
+    """Offsets of up to 3 % and a gain of up to 2 %, of which nobody declared anything; the balances show no noise."""
+    verdict, size = _asked(f"coarse/{cell}/x30", 0, tmp_path)
+    assert verdict["answer"] == "named", verdict["sentence"]
+    (found,) = verdict["findings"]
+    assert f"{found['effect']}/{found['joint']}" == cell
+    assert found["value"] == pytest.approx(size, rel=0.005)
+    assert any("an offset and a gain of each torque sensor" in one for one in verdict["remarks"])
+
+
+@pytest.mark.parametrize(("cell", "draw", "answer"), [("null", 5, "nothing missing"), ("values", 0, "values differ")])
+def test_an_offset_that_noisy_torques_may_have_is_nothing_that_is_missing(
+    cell: str, draw: int, answer: str, tmp_path: Path
+) -> None:
+    verdict, _ = _asked(f"coarse/{cell}", draw, tmp_path)
+    assert verdict["answer"] == answer, verdict["sentence"]
+
+
+def test_a_large_error_of_a_sensor_is_found_with_its_size(tmp_path: Path) -> None:
+    """To first order, the scale of the gyro would be 6 % larger than it is."""
+    verdict, size = _asked("spatial/gyro_scale/base/x30", 0, tmp_path)
+    assert verdict["answer"] == "named", verdict["sentence"]
+    (found,) = verdict["findings"]
+    assert found["effect"] == "gyro_scale"
+    assert found["value"] == pytest.approx(size, rel=2e-3)
+
+
+def test_what_the_untouched_run_refutes_stood_for_two_others(tmp_path: Path) -> None:
+    """Coulomb friction at the yaw by itself explains 99.5 % of what is left over."""
+    verdict, _ = _asked("spatial/pair/TanhCoulomb@yaw+LinkViscous@elbow", 0, tmp_path)
+    assert verdict["answer"] == "named", verdict["sentence"]
+    found = [(one["effect"], one["joint"]) for one in verdict["findings"]]
+    assert found == [("motor_coulomb", "yaw"), ("link_viscous", "elbow")]
+
+
+def test_limits_are_stated_beside_gains_of_torque_sensors(tmp_path: Path) -> None:
+    verdict, _ = _asked("pendulum/motor_stribeck/shoulder/x10", 0, tmp_path)
+    assert verdict["answer"] == "nothing missing", verdict["sentence"]
+    assert any("torque sensors read differently" in one for one in verdict["remarks"])
+    assert {"motor_stribeck1", "ripple_sin2"} <= {one["name"].partition("@")[0] for one in verdict["limits"]}
+
+
+def test_a_small_joint_shows_friction_beside_a_large_one(tmp_path: Path) -> None:
+    """Noise of the shoulder leaves more Nm than what is hidden at the elbow."""
+    verdict, _ = _asked("pendulum/motor_stribeck/elbow/x3", 0, tmp_path)
+    assert verdict["answer"] in {"named", "part named"}, verdict["sentence"]
+    assert [(one["effect"], one["joint"]) for one in verdict["findings"]] == [("motor_stribeck", "elbow")]

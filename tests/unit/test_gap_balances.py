@@ -22,7 +22,7 @@ from zygos.balances.quadrature import integral
 from zygos.balances.readings import Readings
 from zygos.effects import CATALOGUE, Effect, column_name
 from zygos.gap import balances
-from zygos.gap.balances import Layout, balance_rows, zero_columns
+from zygos.gap.balances import Acting, Layout, balance_rows, zero_columns
 from zygos.gap.record import followed, smoothed_states
 from zygos.native.flight import config_of
 
@@ -224,6 +224,37 @@ def test_columns_of_errors_that_are_known_are_not_computed_again() -> None:
         np.testing.assert_array_equal(all_of_them[..., len(listed) - len(usual) :], few)
     known[usual[0]] = [7.0 + 0.0 * own for own in known[usual[0]]]
     assert all(np.all(own[..., 0] == 7.0) for own in zero_columns(Layout(arm), plain, base, known=known))
+
+
+@pytest.mark.parametrize(
+    ("key", "size"),
+    [("gyro_scale", 0.05), ("link_scale", 0.05), ("link_eccentricity_sin", 0.02), ("motor_eccentricity_sin", 2e-4)],
+)
+def test_a_large_error_of_a_sensor_has_the_column_of_its_size(key: str, size: float) -> None:
+    """Readings with the error and so much of its column leave what exact readings leave; to first order they do not."""
+    arm, model, _ = example()
+    base, plain = model.base_values(arm), exact(moved("b", DURATION_S))
+    joint = 0 if CATALOGUE[key].at_joint else -1
+    one = Acting(CATALOGUE[key], joint)
+    layout = Layout(arm, own=(one,))
+    wrong = one.kind.transform(arm, plain, joint, size)
+    true = np.zeros(len(layout.columns))
+    true[: len(base)] = base
+    column, missed = layout.columns.index(one.name), []
+
+    def left(readings: Readings, share: float, sizes: dict[str, float]) -> Floats:
+        seen = dense(balance_rows(layout, readings, base, sizes=sizes))
+        true[column] = share
+        return centred(seen.left @ true - seen.right)
+
+    still = left(plain, 0.0, {})
+    acts = rms(left(wrong, 0.0, {}) - still)
+    for sizes in ({}, {one.name: size}):
+        rest = rms(left(wrong, size, sizes) - still)
+        missed.append(float(np.max(rest[acts > 0.0] / acts[acts > 0.0])))
+    print(key, missed)
+    assert missed[1] < 1e-5
+    assert missed[0] > 1e-2
 
 
 @pytest.mark.parametrize(("key", "joint"), [(k, i) for k, i in PLACES if "coulomb" in k or "viscous" in k])

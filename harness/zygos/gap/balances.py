@@ -16,9 +16,10 @@ constant. The columns of errors of the sensors are differences of the balances o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,12 @@ Indices = NDArray[np.int64]
 
 _SHIFT = 1e-6
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
+_INVERTED = 4
+"""Steps by which an error of a sensor is taken off readings; each leaves so large a share of what the one before left
+as the error changes by where the reading changes."""
+_SEEN = ("q", "theta", "omega0")
+"""Fields of `Readings` that an entry of the catalogue at a sensor changes."""
+NONE: Mapping[str, float] = MappingProxyType({})
 _ACTING = ("motor", "link", "spring", "torque", "load")
 """Places of effects that act at a joint."""
 _OFFSET = 1e2
@@ -169,6 +176,10 @@ class Layout:
                 listed += [one._replace(shape=shape) for shape in shapes.get(one.plain, _coarse(kind))]
         by_name = {one.name: one for one in listed}
         return tuple(sorted(by_name.values(), key=lambda one: one.kind.place == "sensor"))
+
+    def covers(self, one: Acting) -> bool:
+        """Whether an error of the sensors that each run has for itself stands for an entry."""
+        return one.plain in self._covered
 
     @cached_property
     def _covered(self) -> frozenset[str]:
@@ -339,17 +350,19 @@ def balance_rows(
     *,
     zeros: tuple[Array, ...] | None = None,
     every: int = 1,
+    sizes: Mapping[str, float] = NONE,
 ) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
     values: base parameters (p,), about right: what an error of a sensor does to the balances, and the torque through a
-    gear, depend on them. zeros: the columns of these errors, by balance, as `zero_columns` has them. every: rows stand
-    at every so many instants. One of values and zeros may be left out: values where no effect depends on the load.
+    gear, depend on them. zeros: the columns of these errors, by balance, as `zero_columns` has them; sizes: as there.
+    every: rows stand at every so many instants. One of values and zeros may be left out: values where no effect depends
+    on the load.
     """
     arm = layout.arm
     if zeros is None:
         assert values is not None
-        zeros = zero_columns(layout, readings, values, every)
+        zeros = zero_columns(layout, readings, values, every, sizes=sizes)
     moving = _Moving.of(arm, readings, every, values=values)
     bodies = [*_bodies(layout, moving)]
     out = []
@@ -365,13 +378,21 @@ def balance_rows(
 
 
 def zero_columns(
-    layout: Layout, readings: Readings, values: Array, every: int = 1, known: Lost | None = None
+    layout: Layout,
+    readings: Readings,
+    values: Array,
+    every: int = 1,
+    known: Lost | None = None,
+    *,
+    sizes: Mapping[str, float] = NONE,
 ) -> tuple[Array, ...]:
     """By balance (..., A, m, ·): what errors of the sensors of 1 unit would take away, to first order: the entries of
     the catalogue at sensors, then the errors that each run has for itself.
 
-    known: columns of layouts of the same arm, for the same readings and values, that need not be computed again; those
-    that are missing are added.
+    sizes: of entries at sensors as far as they are known, by name: the column of such an error is what an error of this
+    size has taken away, per unit, because a large one is not in proportion to a small one. known: columns of layouts of
+    the same arm, for the same readings, values and sizes, that need not be computed again; those that are missing are
+    added.
     """
     value = np.where(np.isfinite(values), values, 0.0)
     names = layout.arm.parameter_names
@@ -399,8 +420,16 @@ def zero_columns(
         return lost(error.added(readings, _SHIFT))
 
     def misread(one: Acting) -> list[Array]:
-        number = one.kind.components(layout.arm).index(one.component)
-        return lost(one.kind.transform(layout.arm, readings, one.joint, _SHIFT, number))
+        number, size = one.kind.components(layout.arm).index(one.component), sizes.get(one.name, 0.0)
+        if abs(size) <= _SHIFT:
+            return lost(one.kind.transform(layout.arm, readings, one.joint, _SHIFT, number))
+        plain = readings
+        for _ in range(_INVERTED):
+            again = one.kind.transform(layout.arm, plain, one.joint, size, number)
+            parts = {name: getattr(plain, name) + getattr(readings, name) - getattr(again, name) for name in _SEEN}
+            plain = replace(plain, **parts)
+        without[:] = without or left_over(still)
+        return [(b - a) / size for a, b in zip(without, left_over(_Moving.of(layout.arm, plain, every)), strict=True)]
 
     for one in layout.sensors:
         if one.name not in columns:

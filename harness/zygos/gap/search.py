@@ -382,6 +382,28 @@ def struck(found: Search, one: Candidate) -> Search:
     return replace(found, after=now, named=named, sets=sets, completeness=share)
 
 
+def judged_beside(found: Search, study: Study) -> Search | None:
+    """The search with the same names in another study of them on the same runs, which has more unknowns of the sensors;
+    None where a name is no candidate beside these, they do not explain nearly everything, or another entry of the
+    catalogue might take the place of one. Errors: Undecided where the runs do not tell the columns apart."""
+    share = completeness(found.before, study.excess * study.noise)
+    runs, level = range(len(study.records)), found.chance.threshold
+    each = np.stack([study.of(study.hypothesis, [k]).value for k in runs])
+    drawn = np.stack([study.of_twin(study.hypothesis, [k]).value for k in runs])
+    each, spread = each - drawn.mean(axis=1) + study.made, drawn.std(axis=1, ddof=1)
+    named = []
+    for one in found.named:
+        k = study.hypothesis.names.index(one.name)
+        value, own, sigma = float(study.value[k]), each[:, k].tolist(), spread[:, k].tolist()
+        z = tuple(x / s for x, s in zip(own, sigma, strict=True))
+        if min(map(abs, z)) < level or not _one_size(own, sigma, value) or (one.kind.positive and value < 0.0):
+            return None
+        named.append(replace(one, value=value, each=tuple(own), z=z, sigma=float(study.spread[k]), completeness=share))
+    sets = tuple(_inseparable(one, study, found.before) for one in named)
+    instead = replace(found, after=study, named=tuple(named), completeness=share, sets=sets)
+    return None if min(share) < COMPLETE or rivals(instead, widened(study)) else instead
+
+
 def _reshaped(found: Search, one: Candidate) -> Search:
     after = found.after
     assert one.shape is not None

@@ -38,6 +38,7 @@ from zygos.gap.verdicts import (
     RunsDisagree,
     SkewedEncoders,
     StillLeft,
+    TorquesMisread,
     TorquesSampled,
     Unexplained,
     Unpredicted,
@@ -336,7 +337,7 @@ def predicted(answer: Answer, gap: Gap, *, added: bool) -> list[str]:
 # remarks
 
 
-def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
+def remark(found: Remark) -> str:  # noqa: PLR0911, PLR0912  (one sentence a remark)
     """What a remark says."""
     match found:
         case TorquesSampled():
@@ -357,6 +358,12 @@ def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
             return (
                 f"the torque of the {found.joint} reads {100.0 * found.share:+.2g} % against that of the "
                 f"{found.first}: its gain, or a gear ratio, is off"
+            )
+        case TorquesMisread():
+            each = ", ".join(f"{name} {off:+.3g} Nm and {100.0 * share:+.2g} %" for name, off, share in found.joints)
+            return (
+                "the untouched run is predicted with an offset and a gain of each torque sensor, which noise hides in "
+                f"the balances: {each}; a calibration of the torque sensors would tell"
             )
         case NoUntouchedRun():
             return "no run was kept apart (--validate): the gap is not known"

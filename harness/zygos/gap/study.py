@@ -42,6 +42,9 @@ LARGE = 3.0
 _LOOSE, _TRIED, _WORTH = 4, 8, 0.5
 """Errors of sensors that are freed at the most, those that are tried at a time, and the share of what a fit pays for
 all of them that may be left by one that is freed."""
+_STEPS, _CLOSE = 8, 1e-3
+"""Steps by which the size of an error of a sensor is found at the most, and the share by which the last one changes
+it."""
 FEW = 4
 """Draws that are enough to weight the balances of a study that is made again, and to rank columns."""
 
@@ -76,6 +79,11 @@ class Study:
     """Errors of the sensors that the twins were made with."""
     lost: tuple[tuple[Lost, Lost], ...]
     """Of each run and its twin: what `zero_columns` has computed."""
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """By name, of the errors of sensors that the twins were made with."""
+        return _sizes(self.hypothesis.layout, self.sensors)
 
     @property
     def layout(self) -> Layout:
@@ -184,7 +192,7 @@ def residuals(study: Study, run: int) -> tuple[Array, State]:
     smoother does not follow or the balance is not used; and the smoothed states."""
     record, kept = study.records[run], study.accepted[run]
     readings = record.readings()
-    table = balance_rows(study.layout, readings, base_values(study.model, study.layout))
+    table = balance_rows(study.layout, readings, base_values(study.model, study.layout), sizes=study.sizes)
     full = np.concatenate([study.fit.zeros[run], study.fit.value, [-1.0]])
     mix = study.hypothesis.basis() @ full
     out = np.full((len(table.balances), *kept.shape), np.nan)
@@ -203,7 +211,7 @@ def own_errors(study: Study, record: MeasuredRun) -> Array:
     """(zeros,) errors of the sensors of a run that the study does not have, beside the coefficients of the study."""
     layout, arm = study.layout, record.arm
     every = thinning(arm)
-    rows = balance_rows(layout, record.readings(), base_values(study.model, layout), every=every)
+    rows = balance_rows(layout, record.readings(), base_values(study.model, layout), every=every, sizes=study.sizes)
     sums = accumulate(rows, followed(arm, record.readings()), study.hypothesis.uncentred)
     return np.asarray(fit(study.hypothesis, [sums], study.weight, study.value).zeros[0], dtype=np.float64)
 
@@ -280,8 +288,26 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     """The same runs under another hypothesis: its fit, and a twin of its own with `count` draws.
 
     Errors of sensors far beyond what is known of them are taken off the records, because their columns are those of
-    small errors.
+    small errors. Those that the hypothesis has are found step by step: the column of a large one depends on its size.
     """
+    for _ in range(_STEPS):
+        first = study.of(hypothesis)
+        sensors = sensor_effects(hypothesis, first.value)
+        if all(abs(now.value - was.value) < _CLOSE * abs(now.value) for now, was in _pairs(sensors, study.sensors)):
+            break
+        study = _again(study, hypothesis, FEW)
+    return _again(study, hypothesis, count)
+
+
+def _pairs(sensors: Sequence[Effect], known: Sequence[Effect]) -> list[tuple[Effect, Effect]]:
+    """Errors of sensors, each with the same one of a study, or with none of its kind."""
+    return [
+        (one, next((was for was in known if replace(was, value=one.value) == one), replace(one, value=0.0)))
+        for one in sensors
+    ]
+
+
+def _again(study: Study, hypothesis: Hypothesis, count: int) -> Study:
     first = study.of(hypothesis)
     records, applied = study.records, study.applied
     found = replace(study, fit=replace(study.fit, zeros=first.zeros))
@@ -445,8 +471,9 @@ def _fitted(
     base = base_values(dynamics, layout)
     every = thinning(arm)
     lost = lost or tuple(({}, {}) for _ in records)
+    sizes = _sizes(layout, sensors)
     zeros = [
-        zero_columns(layout, record.readings(), base, every, known)
+        zero_columns(layout, record.readings(), base, every, known, sizes=sizes)
         for record, (known, _) in zip(records, lost, strict=True)
     ]
     made = np.array([coefficient(dynamics, hypothesis, name, sensors) for name in hypothesis.names])
@@ -454,8 +481,8 @@ def _fitted(
     # those of a record, for a twin that moves a little otherwise, bend all its coefficients
     drawn = tuple(
         draws(
-            twin, kept, count, layout, uncentred, zero_columns(layout, twin.exact, base, every, own), base, count * k,
-            every, known,
+            twin, kept, count, layout, uncentred,
+            zero_columns(layout, twin.exact, base, every, own, sizes=sizes), base, count * k, every, known,
         )
         for k, (twin, kept, (_, own)) in enumerate(zip(twins, accepted, lost, strict=True))
     )  # fmt: skip
@@ -493,6 +520,12 @@ def _fitted(
         sensors,
         lost,
     )
+
+
+def _sizes(layout: Layout, sensors: Sequence[Effect]) -> dict[str, float]:
+    """Of errors of sensors, by the names of their columns in a layout."""
+    found = {effect.column(layout.arm): effect.value for effect in sensors}
+    return {one.name: found[one.plain] for one in layout.sensors if one.plain in found}
 
 
 def _size(sums: Sums) -> Array:

@@ -57,6 +57,12 @@ def with_torque_noise(arm: Arm, records: Sequence[MeasuredRun]) -> tuple[Arm, Ar
     return _with_sigmas(arm, likely), _with_sigmas(arm, most)
 
 
+def with_hidden_noise(arm: Arm) -> Arm:
+    """The arm with no more noise of its torques than the rounding on the bus, where its file declares none: sensors
+    that may have constant errors all the same."""
+    return _with_sigmas(arm, np.full(arm.n, _ROUNDING))
+
+
 def _with_sigmas(arm: Arm, sigma: Array) -> Arm:
     joints = tuple(
         joint if joint.torque_sigma > 0.0 else replace(joint, torque_sigma=float(x))

@@ -237,6 +237,15 @@ class GainOff:
 
 
 @dataclass(frozen=True)
+class TorquesMisread:
+    """The untouched runs close with constant errors of torque sensors that the balances alone do not show."""
+
+    joints: tuple[tuple[str, float, float], ...]
+    """Joint, mean offset of its torque over the measured runs, Nm, and share by which it reads too large against the
+    first."""
+
+
+@dataclass(frozen=True)
 class NoUntouchedRun:
     """No run was kept apart."""
 
@@ -289,6 +298,7 @@ Remark = (
     | DrawingPredictsBetter
     | ZerosOff
     | GainOff
+    | TorquesMisread
     | NoUntouchedRun
     | NearestArm
     | Impossible

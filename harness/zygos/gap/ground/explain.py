@@ -24,7 +24,7 @@ from zygos.gap.ground.fit import Fit, fit, jackknife, residual
 from zygos.gap.ground.form import form_sigmas
 from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import CLOSED, Prediction, Stage, predict, remainders, run_name
-from zygos.gap.ground.search import Search, is_gain, search
+from zygos.gap.ground.search import Search, beside_all, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
 from zygos.gap.ground.timing import lateness, torque_constants
@@ -121,12 +121,14 @@ class _Explainer:
         if self._explains_more(wider, (table, found)):
             table, found = wider
         else:
-            found = replace(found, last=wider[1].rounds[-1] if wider[1].rounds else ())
+            found = beside_all(wider[0], found)
         table, found = with_best_shapes(
             self.simulation, table, found, self._bodies(table, found), lambda name: self.step(0.75, f"found {name}")
         )
         self.step(0.77, "the twin of what was found")
         found = confirmed(self.simulation, table, found, stage_of(table.layout, "closed", found.after))
+        if not found.last and all(is_gain(one.candidate) for one in found.named):
+            found = beside_all(table, found)
         self.step(0.78, "changes within and between runs")
         changed = find_change(table, found.after)
         if changed is not None:
@@ -193,11 +195,14 @@ class _Explainer:
         return np.asarray(table.layout.start[:own] + found.after.x[:own], dtype=np.float64)
 
     def _explains_more(self, wider: tuple[Table, Search], usual: tuple[Table, Search]) -> bool:
-        """Whether a search among more entries leaves a good deal less over on every run that was learned from."""
+        """Whether a search among more entries leaves a good deal less over on every run that was learned from.
+
+        Each joint counts in units of its noise: the residual of a large one would hide what the others show."""
         names = {one.name for one in usual[1].named}
         if all(one.name in names for one in wider[1].named):
             return False
-        after, before = (residual(table, found.after.x) for table, found in (wider, usual))
+        unit = np.fmin(wider[0].floor, usual[0].floor) ** 2
+        after, before = (residual(table, found.after.x) / unit for table, found in (wider, usual))
         return bool(np.all(after.sum(axis=1) < _MUCH * before.sum(axis=1)))
 
     def _in_nm(self, motions: Sequence[Motion], span: float) -> list[Motion]:

@@ -99,10 +99,11 @@ class Search:
 
     @property
     def beyond(self) -> tuple[Tried, ...]:
-        """Entries that are searched last, where nothing was named: their limits hold beside the simulation's own
-        equations."""
+        """Entries that are searched last, where nothing was named but gains of torque sensors: their limits hold beside
+        the simulation's own equations and these gains."""
         usual = {one.name for one in self.rounds[0]} if self.rounds else set()
-        return () if self.named else tuple(one for one in self.last if one.name not in usual)
+        nothing = all(is_gain(one.candidate) for one in self.named)
+        return tuple(one for one in self.last if one.name not in usual) if nothing else ()
 
 
 def threshold(count: int) -> float:
@@ -160,6 +161,17 @@ def without(table: Table, found: Search, left_out: Sequence[str]) -> Search:
     fitted = fit(table, [*table.layout.basis, *(table.layout.at(name) for name in names)])
     sets = tuple(group for group in found.sets if group[0] in names)
     return replace(found, after=fitted, named=tuple(_beside_the_others(table, names)), sets=sets)
+
+
+def beside_all(table: Table, found: Search) -> Search:
+    """A search with every other candidate of a table beside what it named: an entry that a wider search named, and that
+    was not kept, has a limit as well."""
+    layout, names = table.layout, [one.name for one in found.named]
+    taken = {(one.candidate.key, one.candidate.joint) for one in found.named}
+    listed = [one for one in layout.candidates if (one.key, one.joint) not in taken]
+    fitted = fit(table, [*layout.basis, *(layout.at(name) for name in names)])
+    tried = try_all(table, fitted, listed) if listed else []
+    return replace(found, last=tuple(sorted(tried, key=lambda one: (not one.passes, -one.gain))))
 
 
 def try_all(table: Table, fitted: Fit, candidates: Sequence[Candidate]) -> list[Tried]:
