@@ -27,9 +27,9 @@ BEGIN, END = "<!-- make verify writes this -->\n", "<!-- to here -->"
 TESTS = tuple(
     f"tests/unit/test_{name}.py"
     for name in (
-        "any_arm c_equals_numpy change check counters cycle effects flight flight_joints guard impulse "
-        "integrity kinematics momentum momentum_sums range_end refusals smoother "
-        "snapshot spatial text"
+        "any_arm bandwidth blocks c_equals_numpy change check conventions counters cycle effects flight flight_joints "
+        "guard guard_joints impulse integrity kinematics momentum momentum_sums motors multibody propagation range_end "
+        "refine refine_onboard refiner refusals scrub smoother snapshot spatial tasks telemetry text"
     ).split()
 )
 """The quick unit tests that call the library in their own process, for the mutants."""
