@@ -137,7 +137,7 @@ def run(tests: Sequence[str], mutants: Sequence[Mutant], numbers: Sequence[int],
             "results": str(results),
         }
         told["budget_s"] = BUDGET_S
-        told["state"] = state
+        told["state"], told["states"] = state, states
         told["tried"] = survived()
         stored(state).write_text(json.dumps(states))
         told["functions"] = [mutants[number].function for number in waiting]
