@@ -140,8 +140,12 @@ def run(tests: Sequence[str], mutants: Sequence[Mutant], numbers: Sequence[int],
         told["state"], told["states"] = state, states
         told["tried"] = survived()
         stored(state).write_text(json.dumps(states))
-        told["functions"] = [mutants[number].function for number in waiting]
-        told["kills"] = [(mutants[number].function, row["test"]) for number, row in done.items() if row["test"]]
+        told["functions"] = [f"{mutants[number].file}:{mutants[number].function}" for number in waiting]
+        told["kills"] = [
+            (f"{mutants[number].file}:{mutants[number].function}", row["test"])
+            for number, row in done.items()
+            if row["test"]
+        ]
         told["unchanged"] = str(results.with_suffix(f".{state}.unchanged.json"))
         (folder / "told.json").write_text(json.dumps(told))
         (folder / "failed.json").unlink(missing_ok=True)

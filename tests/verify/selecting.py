@@ -34,8 +34,10 @@ BASE_S = 10.0
 """Processor time that a test has beside three times that of the unchanged code; a loop without an end takes all."""
 FIRST_S = 1.0
 """Processor time of the tests that are put before all others."""
-ELSEWHERE = 0.05
-"""What a kill of a mutant of another function counts for the order of the tests."""
+ELSEWHERE, SAME_FILE = 0.02, 0.2
+"""What a kill of a mutant of another function, of any file or of the same one, counts for the order of the tests."""
+CALLS, NAMED = 2.0, 0.3
+"""The same for a test whose module has the name of the function, or is named after the file."""
 
 
 def digest_of(paths: Iterable[Path]) -> str:
@@ -210,13 +212,20 @@ class Loop:
                     at[number].append(k)
         del known, rows
         places = {test.item.nodeid: k for k, test in enumerate(tests)}
+        texts = {path: path.read_text() for path in {test.module for test in tests}}
         kills: dict[str, dict[int, float]] = defaultdict(lambda: defaultdict(float))
-        everywhere = [0.0] * len(tests)
 
         def count(function: str, test: str) -> None:
-            if test in places:
-                kills[function][places[test]] += 1.0
-                everywhere[places[test]] += 1.0
+            for key, weight in (("", ELSEWHERE), (function.split(":", maxsplit=1)[0], SAME_FILE), (function, 1.0)):
+                if test in places:
+                    kills[key][places[test]] += weight
+
+        def worth(function: str, k: int) -> float:
+            file, name = function.split(":")
+            path = tests[k].module
+            out = 0.01 + (CALLS if name in texts[path] else 0.0)
+            out += NAMED if file.removesuffix(".c") in path.name else 0.0
+            return out + sum(kills[key].get(k, 0.0) for key in ("", file, function))
 
         for function, test in self.told["kills"]:
             count(function, test)
@@ -234,9 +243,8 @@ class Loop:
                 if not left:
                     self._note(number, "survived")
                     continue
-                near = kills[functions[number]]
-                worth = [near.get(k, 0.0) + ELSEWHERE * everywhere[k] + 0.01 for k in left]
-                chosen = ordered([tests[k] for k in left], worth, self.told["budget_s"])
+                worths = [worth(functions[number], k) for k in left]
+                chosen = ordered([tests[k] for k in left], worths, self.told["budget_s"])
                 limit = sum(test.limit_s for test in chosen)
                 process = forked(lambda n=number, c=chosen: self._killed(n, c), limit)  # type: ignore[misc]
                 running[process] = (number, time.monotonic() + 10.0 * limit)
