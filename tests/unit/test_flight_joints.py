@@ -332,6 +332,19 @@ def test_energy_rows_can_be_left_out_where_joint_rows_suffice() -> None:
     np.testing.assert_array_equal(*answers)
 
 
+def test_the_scale_of_the_groups_takes_a_degree_of_freedom() -> None:
+    """Without energy rows it comes from the groups themselves; two degrees are left in any case."""
+    known = random_ground(3, "spatial", 6000)
+    flight = Flight(known.arm)
+    flight.cycles(known.cycles())
+    p = len(flight.estimate().value)
+    assert flight._work.joints_alone
+    first, second = (np.array(list(row)[:p]) for row in flight._work.information)
+    expected = np.maximum(first**2 / second - 1.0, 2.0)
+    assert (expected > 2.0).sum() >= 3
+    np.testing.assert_allclose(list(flight._work.degrees_of_freedom)[:p], expected, rtol=1e-12)
+
+
 def reduced(arm: Arm, matrix: Floats) -> int:
     """What zygos_init() says of a matrix (columns, parameters), its entries in order."""
     config = config_of(replace(arm, joint_increment_s=None))

@@ -218,6 +218,22 @@ def test_a_flip_is_remembered_when_the_arcs_behind_it_are_dropped(flight: Flight
         assert (out.estimate().reason == CORRUPT) == damaged
 
 
+@pytest.mark.parametrize(("kind", "member"), [("motor_sums", "total"), ("momentum_sums", "instants")])
+def test_a_block_whose_numbers_cannot_be_is_refused_whatever_its_checksum_is(
+    flight: Flight, kind: str, member: str
+) -> None:
+    sums = getattr(flight.native, kind)
+    intact = getattr(lib, f"zygos_{kind}_intact")
+    wrong = [("fade", -1e-9), ("fade", 1.0 + 1e-9), ("fade", np.nan), (member, -1.0), (member, 1e16), (member, np.nan)]
+    for block in (sums.block[0], sums.block[sums.count - 1]):
+        for name, value in wrong:
+            before = getattr(block, name)
+            assert intact(ffi.addressof(sums), ffi.addressof(flight.native, "config"))
+            setattr(block, name, value)
+            assert not intact(ffi.addressof(sums), ffi.addressof(flight.native, "config")), (name, value)
+            setattr(block, name, before)
+
+
 def _counted(sums: Any, off: float) -> None:
     """The number of instants in the sums, whose row sums match."""
     width = sums.width
