@@ -345,6 +345,21 @@ def test_the_scale_of_the_groups_takes_a_degree_of_freedom() -> None:
     np.testing.assert_allclose(list(flight._work.degrees_of_freedom)[:p], expected, rtol=1e-12)
 
 
+def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -> None:
+    """Of the moments of the bodies, which gravity tells, the largest counts for all; of what stands behind them, none."""
+    known = random_ground(3, "spatial", 6000)
+    flight = Flight(known.arm)
+    flight.cycles(known.cycles())
+    flight.estimate()
+    work = flight._work
+    columns, p = work.column_map, work.column_map.parameters
+    assert columns.kinetic < columns.body < p == columns.count
+    size, solution = np.array(list(work.size)[:p]), np.abs(list(work.solution)[:p])
+    moments, behind = slice(columns.kinetic, columns.body), slice(columns.body, p)
+    np.testing.assert_array_equal(size[moments], solution[moments].max())
+    np.testing.assert_array_equal(size[behind], solution[behind])
+
+
 def reduced(arm: Arm, matrix: Floats) -> int:
     """What zygos_init() says of a matrix (columns, parameters), its entries in order."""
     config = config_of(replace(arm, joint_increment_s=None))

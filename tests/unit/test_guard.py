@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from flight_support import joined, part
 from numpy.typing import NDArray
+from scipy import stats
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, TorqueLaw, load_arm
@@ -411,6 +412,37 @@ def test_the_open_arc_is_compared_with_those_before_it_once_it_is_long_enough(mo
         drift = flight.drift()
         assert drift.changed == () and np.isfinite(drift.deviation).all()
         assert flight.native.guard.known == 1
+
+
+@pytest.mark.parametrize(("freedom", "error"), [(10.0, 0.05), (100.0, 0.004), (1e4, 1e-4)])
+def test_the_limit_of_a_mean_square_is_six_sigmas_of_chi_square_with_its_margin(freedom: float, error: float) -> None:
+    """By the cube root that is nearly normal; fewer than one row count as one."""
+    expected = 1.25 * stats.chi2.isf(stats.norm.sf(6.0), freedom) / freedom
+    assert lib.zygos_guard_chi_square_limit(freedom) == pytest.approx(expected, rel=error)
+    assert lib.zygos_guard_chi_square_limit(0.5) == lib.zygos_guard_chi_square_limit(1.0)
+
+
+@pytest.mark.parametrize("worst", [0.99, 1.01])
+def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(
+    motion: Trajectory, worst: float
+) -> None:
+    arm, cycles, judge, admit = motion.arm, seen(motion, 0), 2, 3
+    flight = Flight(arm)
+    half = len(cycles) // 2
+    flight.cycles(part(cycles, 0, half))
+    flight.estimate()
+    assert flight.adopt()
+    motors, guard = flight.native.motor_sums, flight.native.guard
+    for k in range(half, len(cycles)):
+        flight.cycles(part(cycles, k, k + 1))
+        if motors.task == judge and motors.joint == 1:
+            break
+    assert guard.motor_worst < 0.99
+    guard.motor_worst = worst  # of the first joint
+    names = ("guard", "config", "column_map", "motor_sums")
+    assert lib.zygos_guard_proceed_motors(*(ffi.addressof(flight.native, name) for name in names))
+    assert guard.contradiction[1] == worst
+    assert (motors.task == admit) == (guard.left_out[1] == 0) == (worst < 1.0)
 
 
 def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Trajectory) -> None:
