@@ -346,7 +346,7 @@ def test_the_scale_of_the_groups_takes_a_degree_of_freedom() -> None:
 
 
 def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -> None:
-    """Of the moments of the bodies, which gravity tells, the largest counts for all; of what stands behind them, none."""
+    """Of the moments of the bodies, which gravity tells, the largest counts for all, and for nothing behind them."""
     known = random_ground(3, "spatial", 6000)
     flight = Flight(known.arm)
     flight.cycles(known.cycles())

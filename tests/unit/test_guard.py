@@ -423,9 +423,7 @@ def test_the_limit_of_a_mean_square_is_six_sigmas_of_chi_square_with_its_margin(
 
 
 @pytest.mark.parametrize("worst", [0.99, 1.01])
-def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(
-    motion: Trajectory, worst: float
-) -> None:
+def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(motion: Trajectory, worst: float) -> None:
     arm, cycles, judge, admit = motion.arm, seen(motion, 0), 2, 3
     flight = Flight(arm)
     half = len(cycles) // 2
@@ -443,6 +441,30 @@ def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(
     assert lib.zygos_guard_proceed_motors(*(ffi.addressof(flight.native, name) for name in names))
     assert guard.contradiction[1] == worst
     assert (motors.task == admit) == (guard.left_out[1] == 0) == (worst < 1.0)
+
+
+def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajectory) -> None:
+    """What is left of the arc before changes nothing."""
+    arm, cycles, judge = replace(motion.arm, momentum_max_s=ARC_S), seen(motion, 0), 4
+    flight, half = Flight(arm), len(cycles) // 2
+    flight.cycles(part(cycles, 0, half))
+    flight.estimate()
+    assert flight.adopt()
+    guard, momentum = flight.native.guard, flight.native.momentum_sums
+    for k in range(half, len(cycles)):
+        flight.cycles(part(cycles, k, k + 1))
+        if momentum.task == judge:
+            break
+    assert (momentum.task, momentum.row) == (judge, 0)
+    before, found = bytes(ffi.buffer(flight.native)), []
+    for left in (0.0, 1e3):
+        ffi.memmove(flight.native, before, len(before))
+        for finding in (guard.momenta, guard.momentum_noise):
+            finding.residual, finding.uncertainty, finding.spread = left, left, left
+        names = ("guard", "config", "column_map", "momentum_sums")
+        lib.zygos_guard_settle_momentum(*(ffi.addressof(flight.native, name) for name in names))
+        found.append((guard.contradiction[2], guard.left_out[2]))
+    assert found[0] == found[1] and 0.0 < found[0][0] < 1.0
 
 
 def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Trajectory) -> None:
