@@ -443,6 +443,31 @@ def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(motion
     assert (motors.task == admit) == (guard.left_out[1] == 0) == (worst < 1.0)
 
 
+def test_blocks_are_uncertain_by_the_covariance_of_the_solution_and_by_their_length(motion: Trajectory) -> None:
+    """Squared sums of residuals, over the squares of the weights: of numpy for the blocks of the arc that closes."""
+    arm, cycles, admit = motion.arm, seen(motion, 0), 6
+    flight, half = Flight(arm), len(cycles) // 2
+    flight.cycles(part(cycles, 0, half))
+    flight.estimate()
+    assert flight.adopt()
+    guard, sums, p = flight.native.guard, flight.native.accumulator, flight.native.column_map.count
+    for k in range(half, len(cycles)):
+        flight.cycles(part(cycles, k, k + 1))
+        if sums.task == admit:
+            break
+    assert guard.comparing == 1
+    closing = [sums.block[place] for place in list(sums.order)[sums.open : sums.fresh]]
+    deviation, square = np.array([list(one.deviation)[: p + 1] for one in closing]), [one.square for one in closing]
+    covariance = np.zeros((p, p))
+    covariance[np.tril_indices(p)] = list(guard.covariance)[: p * (p + 1) // 2]
+    covariance += np.tril(covariance, -1).T
+    walk = np.einsum("bi,ij,bj->b", deviation[:, :p], covariance, deviation[:, :p])
+    left = deviation[:, p] - deviation[:, :p] @ list(guard.solution)[:p]
+    assert len(closing) == guard.compared > 1
+    assert guard.blocks.uncertainty == pytest.approx(float(np.sum(walk / square)), rel=1e-9)
+    assert guard.blocks.residual == pytest.approx(float(np.sum(left**2 / square)), rel=1e-9)
+
+
 def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajectory) -> None:
     """What is left of the arc before changes nothing."""
     arm, cycles, judge = replace(motion.arm, momentum_max_s=ARC_S), seen(motion, 0), 4
