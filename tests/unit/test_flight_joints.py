@@ -360,6 +360,16 @@ def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -
     np.testing.assert_array_equal(size[behind], solution[behind])
 
 
+def test_sums_that_are_cleared_are_those_of_a_flight_that_begins() -> None:
+    known = random_ground(3, "spatial", 6000)
+    flight, fresh = Flight(known.arm), Flight(known.arm)
+    flight.cycles(known.cycles())
+    sums = flight.native.joint_sums
+    assert sums.target > 0 and sums.segments > 0
+    lib.zygos_joint_sums_clear(ffi.addressof(sums))
+    assert bytes(ffi.buffer(ffi.addressof(sums))) == bytes(ffi.buffer(ffi.addressof(fresh.native.joint_sums)))
+
+
 def reduced(arm: Arm, matrix: Floats) -> int:
     """What zygos_init() says of a matrix (columns, parameters), its entries in order."""
     config = config_of(replace(arm, joint_increment_s=None))

@@ -443,16 +443,17 @@ def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(motion
     assert (motors.task == admit) == (guard.left_out[1] == 0) == (worst < 1.0)
 
 
-def test_blocks_are_uncertain_by_the_covariance_of_the_solution_and_by_their_length(motion: Trajectory) -> None:
-    """Squared sums of residuals, over the squares of the weights: of numpy for the blocks of the arc that closes."""
+def test_an_arc_is_compared_by_the_sums_of_residuals_in_its_blocks(motion: Trajectory) -> None:
+    """Squared sums, over the squares of the weights, and their limit: those of numpy for the arc that closes."""
     arm, cycles, admit = motion.arm, seen(motion, 0), 6
+    off = replace(cycles, tau=cycles.tau + 0.3)  # of which the sums of residuals tell more than their squares
     flight, half = Flight(arm), len(cycles) // 2
     flight.cycles(part(cycles, 0, half))
     flight.estimate()
     assert flight.adopt()
     guard, sums, p = flight.native.guard, flight.native.accumulator, flight.native.column_map.count
     for k in range(half, len(cycles)):
-        flight.cycles(part(cycles, k, k + 1))
+        flight.cycles(part(off, k, k + 1))
         if sums.task == admit:
             break
     assert guard.comparing == 1
@@ -466,6 +467,10 @@ def test_blocks_are_uncertain_by_the_covariance_of_the_solution_and_by_their_len
     assert len(closing) == guard.compared > 1
     assert guard.blocks.uncertainty == pytest.approx(float(np.sum(walk / square)), rel=1e-9)
     assert guard.blocks.residual == pytest.approx(float(np.sum(left**2 / square)), rel=1e-9)
+    expected = max(guard.rows.expected / sums.closing_instants, guard.energy.residual)
+    most = lib.zygos_guard_chi_square_limit(0.5 * len(closing)) * guard.cluster * expected * len(closing)
+    most += 36.0 * guard.blocks.uncertainty + 1e-6 * guard.energy.spread * guard.share
+    assert guard.contradiction[0] == pytest.approx(guard.blocks.residual / most, rel=1e-9)
 
 
 def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajectory) -> None:
