@@ -219,7 +219,8 @@ def test_memory_that_changes_is_noticed() -> None:
     assert sums.segments >= 4
     lib.zygos_take(flight.native, flight._work)
     assert lib.zygos_work_intact(flight._work)
-    places = (sums.group[1].rows.gram, sums.noise.gram, sums.apart.gram, sums.segment[sums.filling].rows.gram)
+    groups = (sums.group[1].rows.gram, sums.group[8].rows.gram)
+    places = (*groups, sums.noise.gram, sums.apart.gram, sums.segment[sums.filling].rows.gram)
     for gram, k in product(places, (0, 7, 33)):
         kept = gram[k]
         gram[k] = kept * 1.5 + 1e3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -232,6 +233,15 @@ def test_a_block_whose_numbers_cannot_be_is_refused_whatever_its_checksum_is(
             setattr(block, name, value)
             assert not intact(ffi.addressof(sums), ffi.addressof(flight.native, "config")), (name, value)
             setattr(block, name, before)
+
+
+@pytest.mark.parametrize("member", ["count", "instants"])
+def test_motor_rows_that_are_switched_off_have_no_sums(arm: Arm, member: str) -> None:
+    off = Flight(replace(arm, impulse_arc_s=0.0)).native
+    sums, config = ffi.addressof(off, "motor_sums"), ffi.addressof(off, "config")
+    assert lib.zygos_motor_sums_intact(sums, config)
+    setattr(sums, member, 1)
+    assert not lib.zygos_motor_sums_intact(sums, config)
 
 
 def _counted(sums: Any, off: float) -> None:
