@@ -235,6 +235,15 @@ def test_a_block_whose_numbers_cannot_be_is_refused_whatever_its_checksum_is(
             setattr(block, name, before)
 
 
+@pytest.mark.parametrize("kind", ["motor_sums", "momentum_sums"])
+@pytest.mark.parametrize(("target", "good"), [(0.99, False), (1.0, True), (2.0**53, True), (1e16, False)])
+def test_the_length_from_which_blocks_merge_has_bounds(arm: Arm, kind: str, target: float, good: bool) -> None:
+    native = Flight(with_all_rows(arm)).native
+    sums = getattr(native, kind)
+    sums.target = target
+    assert getattr(lib, f"zygos_{kind}_intact")(ffi.addressof(sums), ffi.addressof(native, "config")) == good
+
+
 @pytest.mark.parametrize("member", ["count", "instants"])
 def test_motor_rows_that_are_switched_off_have_no_sums(arm: Arm, member: str) -> None:
     off = Flight(replace(arm, impulse_arc_s=0.0)).native
