@@ -173,6 +173,12 @@ class Loop:
                 return 1
         return 0
 
+    def _crashes(self, test: Test) -> bool:
+        """Whether a test does not pass alone and with the unchanged code, so that its crash tells of no mutant."""
+        _, status = os.waitpid(forked(lambda: self._killed(-1, [test]), test.limit_s), 0)
+        (self.folder / "at--1").unlink(missing_ok=True)
+        return status != 0
+
     def _note(self, number: int, verdict: str) -> str:
         """Write a result. Returns the test that kills."""
         at = self.folder / f"at-{number}"
@@ -263,6 +269,12 @@ class Loop:
                 verdict = "timeout" if cut else "crash"
             else:
                 verdict = {0: "survived", 1: "killed"}.get(os.WEXITSTATUS(status), "crash")
+            if verdict == "crash":
+                last = json.loads((self.folder / f"at-{number}").read_text())["test"]
+                if self._crashes(tests[places[last]]):
+                    (self.folder / "failed.json").write_text(json.dumps([last]))
+                    session.testsfailed = 1
+                    return True
             count(functions[number], self._note(number, verdict))
         return True
 
