@@ -1610,9 +1610,8 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     out->cluster = (solved && (newest > known[1])) ? newest : known[1];
     out->residual = known[2];
     out->noise_ratio = known[3];
-    if (!solved || (guarded && !explains(work, p, &reference))) {
-        return 0;
+    if (solved) {
+        compare(work, p, out, scaled, deviation);
     }
-    compare(work, p, out, scaled, deviation);
-    return 1;
+    return solved ? 1 : 0;
 }

@@ -11,6 +11,7 @@ import pytest
 from arm_support import random_arm
 from motion_support import FLEXIBLE, sines
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from zygos.arm import Encoder, load_arm
 from zygos.balances.energy import energy_columns
@@ -153,3 +154,13 @@ def test_a_frame_that_is_no_rotation_is_refused(frame: list[float]) -> None:
     native, config = ffi.new("zygos_t *"), config_of(arm)
     config.joint[1].frame = frame
     assert lib.zygos_init(native, config) == lib.ZYGOS_E_AXIS
+
+
+def test_every_rotation_is_a_frame_and_no_reflection_is() -> None:
+    arm, _ = random_arm(3, 2, "free", "spatial")
+    native, config = ffi.new("zygos_t *"), config_of(arm)
+    for rotation in Rotation.random(200, random_state=0).as_matrix():
+        config.joint[1].frame = rotation.ravel().tolist()
+        assert lib.zygos_init(native, config) == 1
+        config.joint[1].frame = (-rotation).ravel().tolist()
+        assert lib.zygos_init(native, config) == lib.ZYGOS_E_AXIS

@@ -609,6 +609,16 @@ def test_no_time_at_all_is_lost_after_120_cycles(bus: Bus) -> None:
         bus.drain()
 
 
+def test_a_silence_without_end_is_counted_once(bus: Bus) -> None:
+    """The number of cycles without time does not grow past what it can hold, where it would begin at 0 again."""
+    bus.cycles(1)
+    bus.flight.native.receiver.assembly.since_time = 2**32 - 1
+    bus.cycles(2, 4)
+    assert [flag for _, flag in bus.drain()] == [BREAK_BEFORE] * 4
+    assert bus.flight.native.receiver.assembly.since_time == 2**32 - 1
+    assert bus.faults() == {}
+
+
 def test_an_outage_of_exactly_240_cycles_is_not_bridged(arm: Arm) -> None:
     """The SYNC counter goes on as if nothing had been; FTIME tells, and the arc that holds the outage is dropped."""
     before, after = sines(arm, 130, first=1), sines(arm, 130, first=131 + 240)

@@ -219,7 +219,8 @@ def test_memory_that_changes_is_noticed() -> None:
     assert sums.segments >= 4
     lib.zygos_take(flight.native, flight._work)
     assert lib.zygos_work_intact(flight._work)
-    places = (sums.group[1].rows.gram, sums.noise.gram, sums.apart.gram, sums.segment[sums.filling].rows.gram)
+    groups = (sums.group[1].rows.gram, sums.group[8].rows.gram)
+    places = (*groups, sums.noise.gram, sums.apart.gram, sums.segment[sums.filling].rows.gram)
     for gram, k in product(places, (0, 7, 33)):
         kept = gram[k]
         gram[k] = kept * 1.5 + 1e3
@@ -330,6 +331,44 @@ def test_energy_rows_can_be_left_out_where_joint_rows_suffice() -> None:
         assert lib.zygos_detect_change(work, out, deviation) == 0
         assert np.isnan(list(deviation)).all()
     np.testing.assert_array_equal(*answers)
+
+
+def test_the_scale_of_the_groups_takes_a_degree_of_freedom() -> None:
+    """Without energy rows it comes from the groups themselves; two degrees are left in any case."""
+    known = random_ground(3, "spatial", 6000)
+    flight = Flight(known.arm)
+    flight.cycles(known.cycles())
+    p = len(flight.estimate().value)
+    assert flight._work.joints_alone
+    first, second = (np.array(list(row)[:p]) for row in flight._work.information)
+    expected = np.maximum(first**2 / second - 1.0, 2.0)
+    assert (expected > 2.0).sum() >= 3
+    np.testing.assert_allclose(list(flight._work.degrees_of_freedom)[:p], expected, rtol=1e-12)
+
+
+def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -> None:
+    """Of the moments of the bodies, which gravity tells, the largest counts for all, and for nothing behind them."""
+    known = random_ground(3, "spatial", 6000)
+    flight = Flight(known.arm)
+    flight.cycles(known.cycles())
+    flight.estimate()
+    work = flight._work
+    columns, p = work.column_map, work.column_map.parameters
+    assert columns.kinetic < columns.body < p == columns.count
+    size, solution = np.array(list(work.size)[:p]), np.abs(list(work.solution)[:p])
+    moments, behind = slice(columns.kinetic, columns.body), slice(columns.body, p)
+    np.testing.assert_array_equal(size[moments], solution[moments].max())
+    np.testing.assert_array_equal(size[behind], solution[behind])
+
+
+def test_sums_that_are_cleared_are_those_of_a_flight_that_begins() -> None:
+    known = random_ground(3, "spatial", 6000)
+    flight, fresh = Flight(known.arm), Flight(known.arm)
+    flight.cycles(known.cycles())
+    sums = flight.native.joint_sums
+    assert sums.target > 0 and sums.segments > 0
+    lib.zygos_joint_sums_clear(ffi.addressof(sums))
+    assert bytes(ffi.buffer(ffi.addressof(sums))) == bytes(ffi.buffer(ffi.addressof(fresh.native.joint_sums)))
 
 
 def reduced(arm: Arm, matrix: Floats) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from flight_support import joined, part
 from numpy.typing import NDArray
+from scipy import stats
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, TorqueLaw, load_arm
@@ -411,6 +412,89 @@ def test_the_open_arc_is_compared_with_those_before_it_once_it_is_long_enough(mo
         drift = flight.drift()
         assert drift.changed == () and np.isfinite(drift.deviation).all()
         assert flight.native.guard.known == 1
+
+
+@pytest.mark.parametrize(("freedom", "error"), [(10.0, 0.05), (100.0, 0.004), (1e4, 1e-4)])
+def test_the_limit_of_a_mean_square_is_six_sigmas_of_chi_square_with_its_margin(freedom: float, error: float) -> None:
+    """By the cube root that is nearly normal; fewer than one row count as one."""
+    expected = 1.25 * stats.chi2.isf(stats.norm.sf(6.0), freedom) / freedom
+    assert lib.zygos_guard_chi_square_limit(freedom) == pytest.approx(expected, rel=error)
+    assert lib.zygos_guard_chi_square_limit(0.5) == lib.zygos_guard_chi_square_limit(1.0)
+
+
+@pytest.mark.parametrize("worst", [0.99, 1.01])
+def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(motion: Trajectory, worst: float) -> None:
+    arm, cycles, judge, admit = motion.arm, seen(motion, 0), 2, 3
+    flight = Flight(arm)
+    half = len(cycles) // 2
+    flight.cycles(part(cycles, 0, half))
+    flight.estimate()
+    assert flight.adopt()
+    motors, guard = flight.native.motor_sums, flight.native.guard
+    for k in range(half, len(cycles)):
+        flight.cycles(part(cycles, k, k + 1))
+        if motors.task == judge and motors.joint == 1:
+            break
+    assert guard.motor_worst < 0.99
+    guard.motor_worst = worst  # of the first joint
+    names = ("guard", "config", "column_map", "motor_sums")
+    assert lib.zygos_guard_proceed_motors(*(ffi.addressof(flight.native, name) for name in names))
+    assert guard.contradiction[1] == worst
+    assert (motors.task == admit) == (guard.left_out[1] == 0) == (worst < 1.0)
+
+
+def test_an_arc_is_compared_by_the_sums_of_residuals_in_its_blocks(motion: Trajectory) -> None:
+    """Squared sums, over the squares of the weights, and their limit: those of numpy for the arc that closes."""
+    arm, cycles, admit = motion.arm, seen(motion, 0), 6
+    off = replace(cycles, tau=cycles.tau + 0.3)  # of which the sums of residuals tell more than their squares
+    flight, half = Flight(arm), len(cycles) // 2
+    flight.cycles(part(cycles, 0, half))
+    flight.estimate()
+    assert flight.adopt()
+    guard, sums, p = flight.native.guard, flight.native.accumulator, flight.native.column_map.count
+    for k in range(half, len(cycles)):
+        flight.cycles(part(off, k, k + 1))
+        if sums.task == admit:
+            break
+    assert guard.comparing == 1
+    closing = [sums.block[place] for place in list(sums.order)[sums.open : sums.fresh]]
+    deviation, square = np.array([list(one.deviation)[: p + 1] for one in closing]), [one.square for one in closing]
+    covariance = np.zeros((p, p))
+    covariance[np.tril_indices(p)] = list(guard.covariance)[: p * (p + 1) // 2]
+    covariance += np.tril(covariance, -1).T
+    walk = np.einsum("bi,ij,bj->b", deviation[:, :p], covariance, deviation[:, :p])
+    left = deviation[:, p] - deviation[:, :p] @ list(guard.solution)[:p]
+    assert len(closing) == guard.compared > 1
+    assert guard.blocks.uncertainty == pytest.approx(float(np.sum(walk / square)), rel=1e-9)
+    assert guard.blocks.residual == pytest.approx(float(np.sum(left**2 / square)), rel=1e-9)
+    expected = max(guard.rows.expected / sums.closing_instants, guard.energy.residual)
+    most = lib.zygos_guard_chi_square_limit(0.5 * len(closing)) * guard.cluster * expected * len(closing)
+    most += 36.0 * guard.blocks.uncertainty + 1e-6 * guard.energy.spread * guard.share
+    assert guard.contradiction[0] == pytest.approx(guard.blocks.residual / most, rel=1e-9)
+
+
+def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajectory) -> None:
+    """What is left of the arc before changes nothing."""
+    arm, cycles, judge = replace(motion.arm, momentum_max_s=ARC_S), seen(motion, 0), 4
+    flight, half = Flight(arm), len(cycles) // 2
+    flight.cycles(part(cycles, 0, half))
+    flight.estimate()
+    assert flight.adopt()
+    guard, momentum = flight.native.guard, flight.native.momentum_sums
+    for k in range(half, len(cycles)):
+        flight.cycles(part(cycles, k, k + 1))
+        if momentum.task == judge:
+            break
+    assert (momentum.task, momentum.row) == (judge, 0)
+    before, found = bytes(ffi.buffer(flight.native)), []
+    for left in (0.0, 1e3):
+        ffi.memmove(flight.native, before, len(before))
+        for finding in (guard.momenta, guard.momentum_noise):
+            finding.residual, finding.uncertainty, finding.spread = left, left, left
+        names = ("guard", "config", "column_map", "momentum_sums")
+        lib.zygos_guard_settle_momentum(*(ffi.addressof(flight.native, name) for name in names))
+        found.append((guard.contradiction[2], guard.left_out[2]))
+    assert found[0] == found[1] and 0.0 < found[0][0] < 1.0
 
 
 def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Trajectory) -> None:

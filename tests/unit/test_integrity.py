@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -216,6 +217,40 @@ def test_a_flip_is_remembered_when_the_arcs_behind_it_are_dropped(flight: Flight
         assert (sums.open, sums.block[order[last]].overlap) == (last + 1, 0.0)
         assert (lib.zygos_accumulator_check(sums) > 1.0) == damaged
         assert (out.estimate().reason == CORRUPT) == damaged
+
+
+@pytest.mark.parametrize(("kind", "member"), [("motor_sums", "total"), ("momentum_sums", "instants")])
+def test_a_block_whose_numbers_cannot_be_is_refused_whatever_its_checksum_is(
+    flight: Flight, kind: str, member: str
+) -> None:
+    sums = getattr(flight.native, kind)
+    intact = getattr(lib, f"zygos_{kind}_intact")
+    wrong = [("fade", -1e-9), ("fade", 1.0 + 1e-9), ("fade", np.nan), (member, -1.0), (member, 1e16), (member, np.nan)]
+    for block in (sums.block[0], sums.block[sums.count - 1]):
+        for name, value in wrong:
+            before = getattr(block, name)
+            assert intact(ffi.addressof(sums), ffi.addressof(flight.native, "config"))
+            setattr(block, name, value)
+            assert not intact(ffi.addressof(sums), ffi.addressof(flight.native, "config")), (name, value)
+            setattr(block, name, before)
+
+
+@pytest.mark.parametrize("kind", ["motor_sums", "momentum_sums"])
+@pytest.mark.parametrize(("target", "good"), [(0.99, False), (1.0, True), (2.0**53, True), (1e16, False)])
+def test_the_length_from_which_blocks_merge_has_bounds(arm: Arm, kind: str, target: float, good: bool) -> None:
+    native = Flight(with_all_rows(arm)).native
+    sums = getattr(native, kind)
+    sums.target = target
+    assert getattr(lib, f"zygos_{kind}_intact")(ffi.addressof(sums), ffi.addressof(native, "config")) == good
+
+
+@pytest.mark.parametrize("member", ["count", "instants"])
+def test_motor_rows_that_are_switched_off_have_no_sums(arm: Arm, member: str) -> None:
+    off = Flight(replace(arm, impulse_arc_s=0.0)).native
+    sums, config = ffi.addressof(off, "motor_sums"), ffi.addressof(off, "config")
+    assert lib.zygos_motor_sums_intact(sums, config)
+    setattr(sums, member, 1)
+    assert not lib.zygos_motor_sums_intact(sums, config)
 
 
 def _counted(sums: Any, off: float) -> None:

@@ -743,6 +743,19 @@ def test_the_level_has_bounds(level: float, bound: float) -> None:
     assert task.native.level == bound
 
 
+def test_torques_noisier_than_declared_widen_what_is_stated() -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    stated = []
+    for level in (1.0, 3.0):
+        task = OnboardRefiner(case.arm, Onboard(window=100_000))  # no window ends, so that the level stays
+        task.start(flight)
+        task.native.level = level
+        task.cycles(part(rest, slice(0, 400)))
+        stated.append(task.estimate[1])
+    assert (stated[1] >= stated[0]).all() and (stated[1] > 1.05 * stated[0]).any()
+
+
 def test_values_that_no_arm_has_are_not_published() -> None:
     """A rotor inertia, stiffness or damping below zero, where it is not sooner noticed."""
     task, answer = refined(Case(), 0)

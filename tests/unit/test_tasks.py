@@ -283,6 +283,41 @@ def test_the_two_arcs_of_momentum_rows_do_not_change_places(arm: Arm, motion: Cy
     assert intact(flight)
 
 
+@pytest.mark.parametrize("task", range(1, 6))
+def test_a_momentum_arc_is_dropped_at_each_of_its_tasks(arm: Arm, motion: Cycles, task: int) -> None:
+    """Nothing of it is left behind, so that the next arc finds its place empty."""
+    flight = Flight(with_all_rows(arm))
+    momentum = flight.native.momentum_sums
+    for k in range(len(motion)):
+        flight.cycles(part(motion, k, k + 1))
+        if momentum.task == task:
+            break
+    assert momentum.task == task
+    lib.zygos_momentum_sums_drop_after(ffi.addressof(momentum), 0)
+    assert (momentum.task, momentum.count) == (0, 0)
+    assert [arc.instants for arc in momentum.arc] == [0.0, 0.0]
+    assert not any(np.any(of(arc.rows.gram, len(arc.rows.gram))) for arc in momentum.arc)
+    assert lib.zygos_momentum_sums_check(ffi.addressof(momentum)) <= 1.0
+
+
+@pytest.mark.parametrize("task", range(3, 7))
+def test_an_energy_arc_is_dropped_at_each_of_its_tasks(arm: Arm, motion: Cycles, task: int) -> None:
+    """No task, instant or block of it is left behind."""
+    flight, rng = Flight(arm), np.random.default_rng(0)
+    energy = flight.native.accumulator
+    flight.cycles(part(again(arm, motion, 1, rng), 0, 300))
+    behind = again(arm, motion, 301, rng)
+    for k in range(300):
+        flight.cycles(part(behind, k, k + 1))
+        if energy.task == task and lib.zygos_accumulator_closing(ffi.addressof(energy)):
+            break
+    assert energy.task == task
+    lib.zygos_accumulator_drop_after(ffi.addressof(energy), 0)
+    assert lib.zygos_accumulator_rests(ffi.addressof(energy)) and energy.task == 0
+    assert (energy.accepted, energy.arcs, energy.open, energy.fresh, energy.count) == (0, 0, 0, 0, 0)
+    assert lib.zygos_accumulator_check(ffi.addressof(energy)) <= 1.0
+
+
 @pytest.mark.parametrize("name", ["mean", "closing_end"])
 def test_an_arc_that_is_centred_with_changed_means_is_left_out(arm: Arm, motion: Cycles, name: str) -> None:
     flight, expected = of_closed_arcs(arm, motion), of_closed_arcs(arm, motion)

@@ -25,14 +25,14 @@ from zygos.files.output import counted, errors_end_the_program, note, say, write
 PAGE, FILE = ROOT / "docs" / "verification.md", ROOT / "docs" / "verification.json"
 BEGIN, END = "<!-- make verify writes this -->\n", "<!-- to here -->"
 TESTS = tuple(
-    f"tests/unit/test_{name}.py"
+    f"tests/{name}.py" if "/" in name else f"tests/unit/test_{name}.py"
     for name in (
-        "any_arm c_equals_numpy change check counters cycle effects flight flight_joints guard impulse "
-        "integrity kinematics momentum momentum_sums range_end refusals smoother "
-        "snapshot spatial text"
+        "any_arm bandwidth blocks c_equals_numpy change check conventions counters cycle effects flight flight_joints "
+        "guard guard_joints impulse integrity kinematics momentum momentum_sums motors multibody propagation range_end "
+        "refine refine_onboard refiner refusals scrub smoother snapshot spatial tasks telemetry text bus/test_wire"
     ).split()
 )
-"""The quick unit tests that call the library in their own process, for the mutants."""
+"""The quick tests that call the library in their own process, for the mutants."""
 DEFAULTS = {"mutants": "400", "seed": "0", "minutes": "30", "jobs": str(os.cpu_count() or 1), "counters": ""}
 Options = Mapping[str, str]
 STEPS: dict[str, Callable[[Options], Result]] = {

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import random
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 from conftest import ROOT
 from verify.mutants import Mutant, library
 from verify.result import BUILD, FOLDER, Result, digest, entries, judged
+from verify.selecting import digest_of
 from zygos.errors import ZygosError
 
 SURVIVORS = FOLDER / "survivors.toml"
@@ -95,21 +95,58 @@ def sample(count: int, number: int, seed: int) -> list[int]:
     return random.Random(seed).sample(range(count), count)[: number or count]
 
 
-def run(tests: Iterable[str], mutants: Sequence[Mutant], numbers: Sequence[int], jobs: int, folder: Path, results: Path,
+def run(tests: Sequence[str], mutants: Sequence[Mutant], numbers: Sequence[int], jobs: int, folder: Path, results: Path,
         path: Path) -> list[Outcome]:  # fmt: skip
-    """Try the mutants whose numbers are given; those that results has are not tried again. path: the library's."""
+    """Try the mutants whose numbers are given; those that results has are not tried again. path: the library's.
+
+    A kill holds as long as the file of the test that kills is the same. A survivor is tried again with the files that
+    have changed since.
+    """
     folder.mkdir(parents=True, exist_ok=True)
+    files = [ROOT / test for test in tests]
+    state = digest_of(files)
+    states = {str(path): digest_of([path]) for path in files}
+
+    def stored(which: str) -> Path:
+        return results.with_suffix(f".{which}.files.json")
+
+    def survived() -> dict[int, list[str]]:
+        """To each number the files as they are that did not kill it."""
+        rows = [json.loads(line) for line in results.read_text().splitlines()] if results.exists() else []
+        found: dict[int, list[str]] = {}
+        for row in rows:
+            if not row["file"] and stored(row["state"]).exists():
+                before = json.loads(stored(row["state"]).read_text())
+                found.setdefault(row["number"], []).extend(
+                    name for name, one in states.items() if before.get(name) == one
+                )
+        return found
 
     def read() -> dict[int, dict[str, Any]]:
         rows = [json.loads(line) for line in results.read_text().splitlines()] if results.exists() else []
-        return {row["number"]: row for row in rows}
+        return {row["number"]: row for row in rows if row["state"] == states.get(row["file"], state)}
 
     done = read()
     waiting = [number for number in numbers if number not in done]
     if waiting:
-        told = {"library": str(path), "folder": str(folder), "numbers": waiting, "jobs": jobs, "results": str(results)}
+        told: dict[str, Any] = {
+            "library": str(path),
+            "folder": str(folder),
+            "numbers": waiting,
+            "jobs": jobs,
+            "results": str(results),
+        }
         told["budget_s"] = BUDGET_S
-        told["unchanged"] = str(results.with_suffix(".unchanged.json"))
+        told["state"], told["states"] = state, states
+        told["tried"] = survived()
+        stored(state).write_text(json.dumps(states))
+        told["functions"] = [f"{mutants[number].file}:{mutants[number].function}" for number in waiting]
+        told["kills"] = [
+            (f"{mutants[number].file}:{mutants[number].function}", row["test"])
+            for number, row in done.items()
+            if row["test"]
+        ]
+        told["unchanged"] = str(results.with_suffix(f".{state}.unchanged.json"))
         (folder / "told.json").write_text(json.dumps(told))
         (folder / "failed.json").unlink(missing_ok=True)
         environment = {
@@ -137,11 +174,11 @@ def run(tests: Iterable[str], mutants: Sequence[Mutant], numbers: Sequence[int],
 def result(tests: Sequence[str], number: int, seed: int, jobs: int) -> Result:
     """Compile, try, judge. What was tried of the same sources and tests is not tried again."""
     mutants = library(PLACE, jobs)
-    state = hashlib.sha256(digest().encode())
-    harness = sorted((ROOT / "harness" / "zygos").rglob("*.py"))
-    for path in [*(ROOT / test for test in tests), *harness, FOLDER / "mutants.py"]:
-        state.update(path.read_bytes())
-    results = PLACE / f"results-{state.hexdigest()[:12]}.jsonl"
+    shared = [
+        path for folder in (ROOT / "harness" / "zygos", FOLDER.parent / "support") for path in folder.rglob("*.py")
+    ]
+    state = digest_of([*sorted(shared), FOLDER.parent / "conftest.py", FOLDER / "mutants.py"])
+    results = PLACE / f"results-{digest()}-{state}.jsonl"
     native = PLACE / "harness" / "zygos" / "_native" / "libzygos.so"
     outcomes = run(tests, mutants, sample(len(mutants), number, seed), jobs, PLACE / "run", results, native)
     known = judgements(SURVIVORS)

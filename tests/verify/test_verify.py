@@ -119,9 +119,17 @@ def test_the_tests_of_the_library_reach_and_kill(tmp_path: Path, monkeypatch: py
     }
     assert next(one for one in outcomes if one.mutant.changed == "i <= n").test.endswith("::test_sum")
     lines = results.read_text()
-    again = mutation.run(["no-such-test"], found, numbers[:2], 2, tmp_path / "run", results, path)
+    again = mutation.run([str(tests)], found, numbers[:2], 2, tmp_path / "run", results, path)
     assert results.read_text() == lines, "what was tried is tried again"
     assert [one.verdict for one in again] == [one.verdict for one in outcomes[:2]]
+    other = tmp_path / "test_other.py"
+    other.write_text(TESTS.replace("2.0, 1.0) == -1.0", "1.0, 2.0) == -1.0").replace("def test_", "def test_other_"))
+    more = mutation.run([str(tests), str(other)], found, numbers, 2, tmp_path / "run", results, path)
+    verdicts = {(one.mutant.original, one.mutant.changed): one.verdict for one in more}
+    assert verdicts["one.second > b", "1"] == "killed", "a survivor is not tried with the test that was added"
+    assert verdicts["one.second > b", "one.second >= b"] == "survived"
+    tried = [json.loads(line)["number"] for line in results.read_text().removeprefix(lines).splitlines()]
+    assert {found[number].original for number in tried} == {"one.second > b"}, "a kill is tried again"
     tests.write_text(TESTS + "    assert lib.sum([1], 1) == 2\n")
     with pytest.raises(ZygosError, match=r"do not pass with unchanged code: .*test_chosen"):
         mutation.run([str(tests)], found, numbers, 2, tmp_path / "run", tmp_path / "other.jsonl", path)
