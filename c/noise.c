@@ -6,6 +6,8 @@
 #include <stddef.h>
 #include <string.h>
 
+#define ROUNDED 1e-9 /* a correlation that is none */
+
 static double root(double x)
 {
     return __builtin_sqrt(x);
@@ -215,7 +217,9 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
         double variance[3];
         zygos_smoother_variance(smoother, s, variance);
         const double value_norm = root(variance[0]);
-        const double shared = variance[1] / value_norm;
+        const double both = variance[1] / value_norm;
+        /* Rounding leaves a little of it also where a signal latches at SYNC. */
+        const double shared = (both * both > ROUNDED * ROUNDED * variance[2]) ? both : 0.0;
         const double rest = variance[2] - shared * shared;
         self->factor[s][0] = sigma * value_norm;
         self->factor[s][1] = sigma * shared;
