@@ -216,6 +216,30 @@ def test_an_entry_that_changes_while_the_constant_is_eliminated_leaves_the_arc_o
     assert (sums.arcs, sums.quarantined) == ((1, 0) if factor == 1.0 else (0, 1))
 
 
+@pytest.mark.parametrize("shape", ["rests at first", "swings about zero"])
+@pytest.mark.parametrize("largest", [1.0, 1e3, 1e5, 1e9])
+def test_an_arc_with_large_entries_is_not_taken_for_changed_memory(shape: str, largest: float) -> None:
+    """The column of a rotor is the square of gear ratio and rate: its mean is far from the rows while the arm rests,
+    and products with it round far more than what is left of columns that do not change."""
+    rows, p = 2000, 6
+    sums, row = ffi.new("zygos_accumulator_t *"), ffi.new("zygos_row_t *")
+    lib.zygos_accumulator_init(sums, p, rows, 0.02)
+    rng = np.random.default_rng(0)
+    if shape == "rests at first":
+        z = np.where(np.arange(rows) < rows // 2, 0.001, 1.0)[:, None] * rng.normal(1.0, 0.3, (rows, p + 1))
+    else:
+        z = np.tile(rng.normal(size=p + 1), (rows, 1))
+        z[:, 0] = np.sin(2.0 * np.pi * (np.arange(rows) + 0.5) / 8.0)
+    z[:, 0] *= largest
+    for k in range(rows):
+        row.column[0:p] = z[k, :p].tolist()
+        row.work = z[k, p]
+        lib.zygos_accumulator_add(sums, row, 1.0)
+    lib.zygos_accumulator_end_arc(sums, rows)
+    assert (sums.arcs, sums.quarantined) == (1, 0)
+    assert lib.zygos_accumulator_check(sums) <= 1.0
+
+
 @pytest.mark.parametrize(("kind", "task"), [("accumulator", ADMIT), ("momentum_sums", MOMENTUM_ADMIT)])
 def test_an_arc_that_is_void_while_it_is_admitted_leaves_no_noise(
     arm: Arm, motion: Cycles, kind: str, task: int
