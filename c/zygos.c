@@ -29,7 +29,7 @@ _Static_assert((sizeof(zygos_joint_config_t) ==
 #define LONGEST_INCREMENT 1000000u
 /* Parts of tasks in a cycle without rows, which cost less than the rows; one more where these are compensated. */
 #define IDLE_PARTS 2u
-#define SHORTEST 8u   /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
+#define SHORTEST 8u /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
 {

@@ -14,10 +14,10 @@
 /// to two blocks, a slice in each cycle. Everything else that takes time in proportion to a block is a task that
 /// proceeds by a part in a cycle that neither opens a segment nor proceeds with a task of other rows: to verify the
 /// blocks of an arc that ended, to eliminate its constant, to compare it with the running solution (guard.h), to admit
-/// it to the closed arcs, to merge two blocks, and to clear one. An arc is closing from its end until it is admitted. An
-/// arc that a gap ends while another one is closing waits until that one is admitted (zygos.h); the tasks also proceed
-/// in cycles without rows. Who reads the sums finishes these tasks on a copy first; the result is then the same as if
-/// they had been finished when the arc ended.
+/// it to the closed arcs, to merge two blocks, and to clear one. An arc is closing from its end until it is admitted.
+/// An arc that a gap ends while another one is closing waits until that one is admitted (zygos.h); the tasks also
+/// proceed in cycles without rows. Who reads the sums finishes these tasks on a copy first; the result is then the same
+/// as if they had been finished when the arc ended.
 ///
 /// The bias of the sums by noise (noise.h) is summed beside the rows of a buffer, and is subtracted with them.
 ///
@@ -192,8 +192,8 @@ void zygos_accumulator_judged_arc(zygos_accumulator_t *self, bool admitted);
 /// Returns whether there is a task, or an arc is closing.
 bool zygos_accumulator_busy(const zygos_accumulator_t *self);
 
-/// Adds the next slice of what waits in full buffers to the blocks, as zygos_accumulator_add() does: for a cycle without
-/// a row. Cost: that number of entries / ZYGOS_BUFFER_ROWS, of two buffers at the most.
+/// Adds the next slice of what waits in full buffers to the blocks, as zygos_accumulator_add() does: for a cycle
+/// without a row. Cost: that number of entries / ZYGOS_BUFFER_ROWS, of two buffers at the most.
 void zygos_accumulator_share_slice(zygos_accumulator_t *self);
 
 /// Adds what waits in full buffers to the blocks. Cost: at the most one pass over two buffers.

@@ -35,10 +35,10 @@ typedef struct {
     uint32_t origin;    ///< 1: the next instant opens an arc, W = D = 0.
     uint32_t torque_at; ///< Index of the next torque in the ring buffer.
     uint32_t reserved;
-    double work;                                        ///< W [J].
-    double dissipation[ZYGOS_MAX_JOINTS];               ///< D [rad^2/s].
-    double theta[ZYGOS_MAX_JOINTS];                     ///< theta at the previous instant.
-    double dissipation_rate[3][ZYGOS_MAX_JOINTS];       ///< g at the three previous instants, newest first.
+    double work;                                  ///< W [J].
+    double dissipation[ZYGOS_MAX_JOINTS];         ///< D [rad^2/s].
+    double theta[ZYGOS_MAX_JOINTS];               ///< theta at the previous instant.
+    double dissipation_rate[3][ZYGOS_MAX_JOINTS]; ///< g at the three previous instants, newest first.
     /// Acting torques that wait for their instant, twice.
     double torque[2][ZYGOS_TORQUE_RING][ZYGOS_MAX_JOINTS];
     zygos_effects_t effects;
