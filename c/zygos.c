@@ -999,8 +999,10 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
     if (tables) {
         found |= (uint32_t)ZYGOS_SCRUBBED_TABLES;
     }
+    const bool unmoved = (self->moving == moving_of(self));
     if (found & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {
-        make_tables(self);
+        make_tables(self); /* which empties the smoother */
+        self->moving = unmoved ? moving_of(self) : self->moving;
     }
     const uint32_t rebuilt = found;
     if ((self->accumulator.twin == ZYGOS_ACCUMULATOR_TWIN(&self->accumulator)) &&
@@ -1014,7 +1016,6 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
         zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
     }
     const bool steady = is_steady(self);
-    const bool unmoved = (self->moving == moving_of(self));
     found |= steady ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
     if (steady && (self->ending != 0)) {
         settle(self);
