@@ -1063,6 +1063,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
     if (joints) {
+        self->ending &= 1u << (uint32_t)ZYGOS_MOTOR_ROWS; /* the other sums, which may be corrupt, are cleared */
         end_waiting(self, true);
         end_joint_arc(self, self->cycle);
         zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);

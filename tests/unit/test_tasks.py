@@ -180,23 +180,47 @@ def test_arcs_that_are_dropped_amid_tasks_leave_the_sums_whole(arm: Arm, motion:
             assert intact(flight), seed
 
 
-def test_an_arc_that_a_gap_ends_waits_until_the_one_before_it_is_closed(arm: Arm, motion: Cycles) -> None:
-    """Its end comes in the cycles without rows, or before the first row where there are too few of them."""
-    short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0, compensate_every=1)
-    flight = Flight(short)
-    cycles, state = again(short, motion, 1, np.random.default_rng(0)), flight.native
+def until_an_arc_waits(flight: Flight, motion: Cycles, forgetting: float = 1.0) -> int:
+    """Flies until an arc of energy rows has been ended by a gap while the one before it is closing. Returns the number
+    of its newest cycle."""
+    config = ffi.new("zygos_config_t *", flight.native.config)
+    config.forgetting_factor = forgetting
+    assert lib.zygos_init(flight.native, config) == 1
+    cycles, state = again(flight.arm, motion, 1, np.random.default_rng(0)), flight.native
     end = 0
     while not (state.accumulator.fresh > state.accumulator.open and state.arc >= 20):  # closing, and open
         flight.cycles(part(cycles, end, end + 1))
         end += 1
-    behind = part(again(short, motion, end + 3, np.random.default_rng(1)), 0, 60)
-    waited = 0
+    flight.cycles(part(again(flight.arm, motion, end + 3, np.random.default_rng(1)), 0, 1))
+    assert state.ending & 1
+    return end
+
+
+def test_an_arc_that_a_gap_ends_waits_until_the_one_before_it_is_closed(arm: Arm, motion: Cycles) -> None:
+    """Its end comes in the cycles without rows, or before the first row where there are too few of them."""
+    short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0, compensate_every=1)
+    flight = Flight(short)
+    state, end = flight.native, until_an_arc_waits(flight, motion)
+    behind = part(again(short, motion, int(state.cycle) + 1, np.random.default_rng(1)), 0, 60)
+    behind.flags[0] = 0
+    waited = 1
     for k in range(len(behind)):
         flight.cycles(part(behind, k, k + 1))
         waited += int(state.ending != 0)
         assert state.ending == 0 or state.ended == end
     assert 0 < waited <= state.smoother.window
     assert counters(flight)["arcs"] == 2
+
+
+def test_a_restart_that_keeps_joints_does_not_end_arcs_of_sums_that_it_clears(arm: Arm, motion: Cycles) -> None:
+    """Memory may have been changed there: the buffer that is filled is none."""
+    flight = Flight(replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=5.0))
+    until_an_arc_waits(flight, motion)
+    flight.native.accumulator.filling = 1 << 30
+    assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_JOINTS) == 1
+    assert flight.native.ending == 0
+    assert flight.native.motor_sums.count > 0
+    assert intact(flight)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.0 + 2.0**-20])
