@@ -223,6 +223,19 @@ def test_a_restart_that_keeps_joints_does_not_end_arcs_of_sums_that_it_clears(ar
     assert intact(flight)
 
 
+def test_normal_equations_are_those_of_an_arm_whose_arcs_have_ended(arm: Arm, motion: Cycles) -> None:
+    """Where an arc waits for its end, the sums have not faded."""
+    short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0)
+    waiting, ended = Flight(short), Flight(short)
+    until_an_arc_waits(waiting, motion, forgetting=0.999)
+    ffi.memmove(ended.native, waiting.native, ffi.sizeof("zygos_t"))
+    assert scrubbed(ended) == 0
+    assert (waiting.native.ending, ended.native.ending) == (1, 0)
+    for found, expected in zip(waiting.normal_equations(), ended.normal_equations(), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_array_equal(waiting.noise(), ended.noise())
+
+
 @pytest.mark.parametrize("factor", [1.0, 1.0 + 2.0**-20])
 def test_an_entry_that_changes_while_the_constant_is_eliminated_leaves_the_arc_out(
     arm: Arm, motion: Cycles, factor: float
