@@ -536,11 +536,6 @@ static void proceed_verify_noise(zygos_accumulator_t *self)
     }
 }
 
-static double larger(double a, double b)
-{
-    return (a > b) ? a : b;
-}
-
 static void proceed_verify(zygos_accumulator_t *self)
 {
     if (self->rank >= self->fresh) {
@@ -562,24 +557,20 @@ static void proceed_verify(zygos_accumulator_t *self)
     const double n = s[self->width - 1u];
     double all = 0.0;
     double means = 0.0;
-    double most = 0.0;
-    double most_mean = 0.0;
+    double size = 0.0;
+    double size_of_means = 0.0;
     for (uint32_t i = 0; i < self->width; i++) {
         all += s[i];
         means += mean[i];
-        most = larger(most, __builtin_fabs(s[i]));
-        most_mean = larger(most_mean, __builtin_fabs(mean[i]));
+        size += __builtin_fabs(s[i]);
+        size_of_means += __builtin_fabs(mean[i]);
     }
-    /* The scan keeps what the row sums will be, for a bit may flip while the constant is eliminated, and how large the
-       entries are before that and become meanwhile: the mean of the arc may be far from the rows of this block. */
-    const double largest = __builtin_sqrt(self->scan.largest);
+    /* The scan keeps what the row sums will be, for a bit may flip while the constant is eliminated, and how large what
+       is added is: the mean of the arc may be far from the rows of this block. */
     for (uint32_t i = 0; i < self->width; i++) {
-        const double size = __builtin_fabs(mean[i]);
-        const double bound = __builtin_sqrt(__builtin_fabs(block->gram[zygos_gram_entries(i + 1u) - 1u])) * largest;
-        const double reached = (__builtin_fabs(s[i]) + n * size) * most_mean + size * most;
-        self->scan.most[i] = larger(self->scan.most[i], bound) + reached;
-        self->scan.largest = larger(self->scan.largest, reached);
-        self->scan.sum[i] = block->sum[i] + n * mean[i] * means - s[i] * means - mean[i] * all;
+        const double far = __builtin_fabs(mean[i]);
+        self->scan.sum[i] += n * mean[i] * means - s[i] * means - mean[i] * all;
+        self->scan.most[i] += (__builtin_fabs(s[i]) + n * far) * size_of_means + far * size;
         block->deviation[i] = s[i] - n * mean[i];
         block->sum[i] = 0.0;
     }
