@@ -73,7 +73,7 @@ typedef struct {
                               ///< until the arc before it is closed, or the next one begins.
     uint32_t reserved;
     uint64_t ended;                               ///< The newest cycle of these arcs.
-    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors.
+    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors; 1 where none waits.
     double forgetting;                            ///< Product of the forgetting factors of the cycles in the open arc.
     double motors_forgetting;                     ///< The same for the motor rows.
     double momentum_forgetting;                   ///< The same for the momentum rows.

@@ -236,6 +236,36 @@ def test_normal_equations_are_those_of_an_arm_whose_arcs_have_ended(arm: Arm, mo
     np.testing.assert_array_equal(waiting.noise(), ended.noise())
 
 
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_a_flipped_bit_of_what_waits_forgets_nothing(arm: Arm, motion: Cycles, kind: int) -> None:
+    """Where none waits, there is no product of factors from before."""
+    flight = Flight(replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=5.0, momentum_max_s=5.0))
+    until_an_arc_waits(flight, motion, forgetting=0.9999)
+    assert scrubbed(flight) == 0
+    flight.native.ending ^= 1 << kind
+    work = ffi.new("zygos_work_t *")
+    lib.zygos_take(flight.native, work)
+    assert lib.zygos_work_settle(work)
+    assert resumed(flight) == 1
+    for held in (work, flight.native):
+        energy, motors, momentum = held.accumulator, held.motor_sums, held.momentum_sums
+        assert energy.block[energy.order[0]].fade > 0.9
+        assert motors.block[0].fade > 0.5
+        assert momentum.block[0].fade > 0.5
+
+
+def test_what_would_have_faded_with_an_arc_that_is_dropped_fades_with_the_next_one(arm: Arm, motion: Cycles) -> None:
+    flight = Flight(replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0))
+    until_an_arc_waits(flight, motion, forgetting=0.999)
+    state = flight.native
+    expected = state.ended_forgetting[0] * state.forgetting
+    state.smoother.position ^= 1
+    assert scrubbed(flight) == lib.ZYGOS_SCRUBBED_PLACES
+    assert state.ending == 0
+    assert state.forgetting == pytest.approx(expected, rel=1e-12)
+    assert expected < 0.98
+
+
 @pytest.mark.parametrize("factor", [1.0, 1.0 + 2.0**-20])
 def test_an_entry_that_changes_while_the_constant_is_eliminated_leaves_the_arc_out(
     arm: Arm, motion: Cycles, factor: float
