@@ -557,13 +557,20 @@ static void proceed_verify(zygos_accumulator_t *self)
     const double n = s[self->width - 1u];
     double all = 0.0;
     double means = 0.0;
+    double size = 0.0;
+    double size_of_means = 0.0;
     for (uint32_t i = 0; i < self->width; i++) {
         all += s[i];
         means += mean[i];
+        size += __builtin_fabs(s[i]);
+        size_of_means += __builtin_fabs(mean[i]);
     }
-    /* The scan keeps what the row sums will be, for a bit may flip while the constant is eliminated. */
+    /* The scan keeps what the row sums will be, for a bit may flip while the constant is eliminated, and how large what
+       is added is: the mean of the arc may be far from the rows of this block. */
     for (uint32_t i = 0; i < self->width; i++) {
-        self->scan.sum[i] = block->sum[i] + n * mean[i] * means - s[i] * means - mean[i] * all;
+        const double far = __builtin_fabs(mean[i]);
+        self->scan.sum[i] += n * mean[i] * means - s[i] * means - mean[i] * all;
+        self->scan.most[i] += (__builtin_fabs(s[i]) + n * far) * size_of_means + far * size;
         block->deviation[i] = s[i] - n * mean[i];
         block->sum[i] = 0.0;
     }

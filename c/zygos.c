@@ -342,6 +342,9 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     self->forgetting = 1.0;
     self->motors_forgetting = 1.0;
     self->momentum_forgetting = 1.0;
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        self->ended_forgetting[kind] = 1.0;
+    }
     self->moving = moving_of(self);
     self->magic = MAGIC;
     return 1;
@@ -418,6 +421,17 @@ static double *forgetting_of(zygos_t *self, uint32_t kind)
     return of_kind[kind];
 }
 
+/* No arc waits any more: all fades with the next one. The products are 1 then, so that a flipped bit of what waits
+   makes nothing fade. */
+static void drop_waiting(zygos_t *self)
+{
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        *forgetting_of(self, kind) *= self->ended_forgetting[kind];
+        self->ended_forgetting[kind] = 1.0;
+    }
+    self->ending = 0;
+}
+
 static void end_arc_of(zygos_t *self, uint32_t kind, uint64_t cycle)
 {
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
@@ -450,6 +464,7 @@ static void end_waiting(zygos_t *self, bool all)
             const double since = *forgetting;
             self->ending ^= 1u << kind;
             *forgetting = self->ended_forgetting[kind];
+            self->ended_forgetting[kind] = 1.0;
             end_arc_of(self, kind, self->ended);
             *forgetting *= since;
         }
@@ -901,7 +916,7 @@ static void drop_open(zygos_t *self)
     zygos_joint_sums_drop_after(&self->joint_sums, self->cycle);
     self->arc = 0;
     self->instant = 0;
-    self->ending = 0;
+    drop_waiting(self);
 }
 
 /* Indices and flags that change. Returns what was found. */
@@ -999,8 +1014,10 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
     if (tables) {
         found |= (uint32_t)ZYGOS_SCRUBBED_TABLES;
     }
+    const bool unmoved = (self->moving == moving_of(self));
     if (found & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {
-        make_tables(self);
+        make_tables(self); /* which empties the smoother */
+        self->moving = unmoved ? moving_of(self) : self->moving;
     }
     const uint32_t rebuilt = found;
     if ((self->accumulator.twin == ZYGOS_ACCUMULATOR_TWIN(&self->accumulator)) &&
@@ -1014,7 +1031,6 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
         zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
     }
     const bool steady = is_steady(self);
-    const bool unmoved = (self->moving == moving_of(self));
     found |= steady ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
     if (steady && (self->ending != 0)) {
         settle(self);
@@ -1062,10 +1078,13 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
     if (joints) {
+        self->ending &= 1u << (uint32_t)ZYGOS_MOTOR_ROWS; /* the other sums, which may be corrupt, are cleared */
         end_waiting(self, true);
         end_joint_arc(self, self->cycle);
         zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
-    } else {
+    }
+    drop_waiting(self);
+    if (!joints) {
         zygos_motor_sums_clear(&self->motor_sums, &self->config);
         self->motors_forgetting = 1.0;
     }
@@ -1081,7 +1100,6 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_guard_clear(&self->guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->cycle);
     self->arc = 0;
     self->instant = 0;
-    self->ending = 0;
     self->moving = moving_of(self);
     return 1;
 }

@@ -73,7 +73,7 @@ typedef struct {
                               ///< until the arc before it is closed, or the next one begins.
     uint32_t reserved;
     uint64_t ended;                               ///< The newest cycle of these arcs.
-    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors.
+    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors; 1 where none waits.
     double forgetting;                            ///< Product of the forgetting factors of the cycles in the open arc.
     double motors_forgetting;                     ///< The same for the motor rows.
     double momentum_forgetting;                   ///< The same for the momentum rows.
@@ -183,17 +183,18 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
 /// Returns 1 when no error was found; ZYGOS_E_NULL; ZYGOS_E_ORDER; ZYGOS_E_CONFIG when the configuration in *self
 /// differs from *config; ZYGOS_E_STATE when an index, count or length is impossible; or ZYGOS_E_SUMS when zygos_solve()
 /// would give ZYGOS_REASON_CORRUPT. zygos_restart() repairs the sums, zygos_init() repairs everything. Only *work is
-/// changed; its content is lost. Not checked are the counters of faults and cycles, and the window of the smoother,
-/// which is soon overwritten. Call it in the task of zygos_step(), while no frame is being received. Cost: that of
-/// zygos_take(), and a few passes over the sums; about as much as zygos_snapshot_seal(), and far less than
-/// zygos_solve().
+/// changed; its content is lost. Not checked are the counters of faults and cycles, the integrals, which zygos_resume()
+/// drops, and the window of the smoother, which is soon overwritten. Call it in the task of zygos_step(), while no
+/// frame is being received. Cost: that of zygos_take(), and a few passes over the sums; about as much as
+/// zygos_snapshot_seal(), and far less than zygos_solve().
 int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t *work);
 
 /// What zygos_scrub() found and repaired, as bits.
 enum zygos_scrubbed {
     ZYGOS_SCRUBBED_CONFIG = 1, ///< The configuration, which is that of the caller again.
     ZYGOS_SCRUBBED_TABLES = 2, ///< Something that follows from it, which was computed again.
-    ZYGOS_SCRUBBED_PLACES = 4, ///< An impossible index, count or flag; the open arcs were dropped.
+    ZYGOS_SCRUBBED_PLACES = 4, ///< An impossible index, count or flag, or an integral, count or place that is not what
+                               ///< the newest cycle left; the open arcs were dropped.
     ZYGOS_SCRUBBED_BLOCKS = 8, ///< Blocks or arcs whose sums do not match; they alone were dropped.
     ZYGOS_SCRUBBED_SUMS = 16 ///< All sums of a kind of rows, which were cleared: what they have in common was changed.
 };
@@ -208,9 +209,9 @@ enum zygos_scrubbed {
 /// do not match their row sums or their checksum are dropped and counted. Memory that nothing has changed is left as it
 /// is, except for the member scrubbed. Returns 0 when nothing was found; bits of enum zygos_scrubbed; ZYGOS_E_NULL;
 /// ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or ZYGOS_E_CONFIG, with *self unchanged, when *config is
-/// not the configuration that *self was initialised with. Not checked are readings, smoothed signals and integrals,
-/// which last for a window or an arc, and counters of faults. Cost: one pass over *self for checksums and row sums,
-/// less than zygos_check(); where something has to be repaired, also that of zygos_restart().
+/// not the configuration that *self was initialised with. Not checked are readings, smoothed signals and the integrals
+/// of joint rows, which last for a window or an increment, and counters of faults. Cost: one pass over *self for
+/// checksums and row sums, less than zygos_check(); where something has to be repaired, also that of zygos_restart().
 int zygos_scrub(zygos_t *self, const zygos_config_t *config);
 
 /// Restarts the estimate with the same configuration, for example because the payload changed or the sums are corrupt.

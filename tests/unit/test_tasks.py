@@ -180,23 +180,90 @@ def test_arcs_that_are_dropped_amid_tasks_leave_the_sums_whole(arm: Arm, motion:
             assert intact(flight), seed
 
 
-def test_an_arc_that_a_gap_ends_waits_until_the_one_before_it_is_closed(arm: Arm, motion: Cycles) -> None:
-    """Its end comes in the cycles without rows, or before the first row where there are too few of them."""
-    short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0, compensate_every=1)
-    flight = Flight(short)
-    cycles, state = again(short, motion, 1, np.random.default_rng(0)), flight.native
+def until_an_arc_waits(flight: Flight, motion: Cycles, forgetting: float = 1.0) -> int:
+    """Flies until an arc of energy rows has been ended by a gap while the one before it is closing. Returns the number
+    of its newest cycle."""
+    config = ffi.new("zygos_config_t *", flight.native.config)
+    config.forgetting_factor = forgetting
+    assert lib.zygos_init(flight.native, config) == 1
+    cycles, state = again(flight.arm, motion, 1, np.random.default_rng(0)), flight.native
     end = 0
     while not (state.accumulator.fresh > state.accumulator.open and state.arc >= 20):  # closing, and open
         flight.cycles(part(cycles, end, end + 1))
         end += 1
-    behind = part(again(short, motion, end + 3, np.random.default_rng(1)), 0, 60)
-    waited = 0
+    flight.cycles(part(again(flight.arm, motion, end + 3, np.random.default_rng(1)), 0, 1))
+    assert state.ending & 1
+    return end
+
+
+def test_an_arc_that_a_gap_ends_waits_until_the_one_before_it_is_closed(arm: Arm, motion: Cycles) -> None:
+    """Its end comes in the cycles without rows, or before the first row where there are too few of them."""
+    short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0, compensate_every=1)
+    flight = Flight(short)
+    state, end = flight.native, until_an_arc_waits(flight, motion)
+    behind = part(again(short, motion, int(state.cycle) + 1, np.random.default_rng(1)), 0, 60)
+    behind.flags[0] = 0
+    waited = 1
     for k in range(len(behind)):
         flight.cycles(part(behind, k, k + 1))
         waited += int(state.ending != 0)
         assert state.ending == 0 or state.ended == end
     assert 0 < waited <= state.smoother.window
     assert counters(flight)["arcs"] == 2
+
+
+def test_a_restart_that_keeps_joints_does_not_end_arcs_of_sums_that_it_clears(arm: Arm, motion: Cycles) -> None:
+    """Memory may have been changed there: the buffer that is filled is none."""
+    flight = Flight(replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=5.0))
+    until_an_arc_waits(flight, motion)
+    flight.native.accumulator.filling = 1 << 30
+    assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_JOINTS) == 1
+    assert flight.native.ending == 0
+    assert flight.native.motor_sums.count > 0
+    assert intact(flight)
+
+
+def test_normal_equations_are_those_of_an_arm_whose_arcs_have_ended(arm: Arm, motion: Cycles) -> None:
+    """Where an arc waits for its end, the sums have not faded."""
+    short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0)
+    waiting, ended = Flight(short), Flight(short)
+    until_an_arc_waits(waiting, motion, forgetting=0.999)
+    ffi.memmove(ended.native, waiting.native, ffi.sizeof("zygos_t"))
+    assert scrubbed(ended) == 0
+    assert (waiting.native.ending, ended.native.ending) == (1, 0)
+    for found, expected in zip(waiting.normal_equations(), ended.normal_equations(), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_array_equal(waiting.noise(), ended.noise())
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_a_flipped_bit_of_what_waits_forgets_nothing(arm: Arm, motion: Cycles, kind: int) -> None:
+    """Where none waits, there is no product of factors from before."""
+    flight = Flight(replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=5.0, momentum_max_s=5.0))
+    until_an_arc_waits(flight, motion, forgetting=0.9999)
+    assert scrubbed(flight) == 0
+    flight.native.ending ^= 1 << kind
+    work = ffi.new("zygos_work_t *")
+    lib.zygos_take(flight.native, work)
+    assert lib.zygos_work_settle(work)
+    assert resumed(flight) == 1
+    for held in (work, flight.native):
+        energy, motors, momentum = held.accumulator, held.motor_sums, held.momentum_sums
+        assert energy.block[energy.order[0]].fade > 0.9
+        assert motors.block[0].fade > 0.5
+        assert momentum.block[0].fade > 0.5
+
+
+def test_what_would_have_faded_with_an_arc_that_is_dropped_fades_with_the_next_one(arm: Arm, motion: Cycles) -> None:
+    flight = Flight(replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0))
+    until_an_arc_waits(flight, motion, forgetting=0.999)
+    state = flight.native
+    expected = state.ended_forgetting[0] * state.forgetting
+    state.smoother.position ^= 1
+    assert scrubbed(flight) == lib.ZYGOS_SCRUBBED_PLACES
+    assert state.ending == 0
+    assert state.forgetting == pytest.approx(expected, rel=1e-12)
+    assert expected < 0.98
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.0 + 2.0**-20])
@@ -214,6 +281,30 @@ def test_an_entry_that_changes_while_the_constant_is_eliminated_leaves_the_arc_o
     flight.cycles(part(cycles, end, end + 100))
     assert sums.fresh == sums.open
     assert (sums.arcs, sums.quarantined) == ((1, 0) if factor == 1.0 else (0, 1))
+
+
+@pytest.mark.parametrize("shape", ["rests at first", "swings about zero"])
+@pytest.mark.parametrize("largest", [1.0, 1e3, 1e5, 1e9])
+def test_an_arc_with_large_entries_is_not_taken_for_changed_memory(shape: str, largest: float) -> None:
+    """The column of a rotor is the square of gear ratio and rate: its mean is far from the rows while the arm rests,
+    and products with it round far more than what is left of columns that do not change."""
+    rows, p = 2000, 6
+    sums, row = ffi.new("zygos_accumulator_t *"), ffi.new("zygos_row_t *")
+    lib.zygos_accumulator_init(sums, p, rows, 0.02)
+    rng = np.random.default_rng(0)
+    if shape == "rests at first":
+        z = np.where(np.arange(rows) < rows // 2, 0.001, 1.0)[:, None] * rng.normal(1.0, 0.3, (rows, p + 1))
+    else:
+        z = np.tile(rng.normal(size=p + 1), (rows, 1))
+        z[:, 0] = np.sin(2.0 * np.pi * (np.arange(rows) + 0.5) / 8.0)
+    z[:, 0] *= largest
+    for k in range(rows):
+        row.column[0:p] = z[k, :p].tolist()
+        row.work = z[k, p]
+        lib.zygos_accumulator_add(sums, row, 1.0)
+    lib.zygos_accumulator_end_arc(sums, rows)
+    assert (sums.arcs, sums.quarantined) == (1, 0)
+    assert lib.zygos_accumulator_check(sums) <= 1.0
 
 
 @pytest.mark.parametrize(("kind", "task"), [("accumulator", ADMIT), ("momentum_sums", MOMENTUM_ADMIT)])

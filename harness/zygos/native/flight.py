@@ -571,8 +571,9 @@ class Flight:
         )
 
     def _closed(self) -> Any:
-        """A copy of the sums whose open arc has ended."""
+        """A copy of the sums whose arcs have ended, also one that waits for that."""
         lib.zygos_take(self.native, self._work)
+        lib.zygos_work_settle(self._work)
         sums, guard, config = (ffi.addressof(self._work, name) for name in ("accumulator", "guard", "config"))
         lib.zygos_guard_end_energy(guard, config, sums, self._work.cycle, self._work.arc)
         return sums
