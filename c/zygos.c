@@ -29,6 +29,7 @@ _Static_assert((sizeof(zygos_joint_config_t) ==
 #define LONGEST_INCREMENT 1000000u
 /* Parts of tasks in a cycle without rows, which cost less than the rows; one more where these are compensated. */
 #define IDLE_PARTS 2u
+#define TURNS 4u    /* of the noise of sensors, from which on one turn may go without a part of a task */
 #define SHORTEST 8u /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
@@ -641,7 +642,7 @@ static void add_energy(zygos_t *self, bool busy)
                         self->arc, self->arm_state.accepted, noise->gram, noise->sum);
     const bool opened = zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
     /* The noise of the first link is that of all bodies, which costs the most. */
-    const bool dear = (config->compensation > 1) && (self->arc % config->compensation == 0);
+    const bool dear = (config->compensation > TURNS) && (self->arc % config->compensation == 0);
     if (!opened && !busy && !dear) {
         zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
     }
