@@ -417,9 +417,10 @@ static void end_momentum_arc(zygos_t *self, uint64_t cycle)
 
 static double *forgetting_of(zygos_t *self, uint32_t kind)
 {
-    double *const of_kind[ZYGOS_KINDS_OF_ROWS] = { &self->forgetting, &self->motors_forgetting,
-                                                   &self->momentum_forgetting };
-    return of_kind[kind];
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        return &self->forgetting;
+    }
+    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors_forgetting : &self->momentum_forgetting;
 }
 
 /* No arc waits any more: all fades with the next one. The products are 1 then, so that a flipped bit of what waits
