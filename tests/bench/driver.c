@@ -89,6 +89,7 @@ static place_t step(uint32_t frames)
     const uint32_t adding = joints->adding;
     const uint32_t tasks[3] = { sums->task, arm.motor_sums.task, arm.momentum_sums.task };
     const uint32_t of_energy = energy_task(sums);
+    const uint32_t energy_row = sums->row;
     const uint32_t of_motors = (arm.motor_sums.task << 16u) | arm.motor_sums.joint;
     const uint32_t of_momentum = (arm.momentum_sums.task << 16u) | arm.momentum_sums.row;
     const uint32_t open[3] = { arm.arc, arm.motor_sums.cycles, arm.momentum_sums.cycles };
@@ -98,6 +99,8 @@ static place_t step(uint32_t frames)
     driver_mark();
     const bool turned =
         (sums->task != tasks[0]) || (arm.motor_sums.task != tasks[1]) || (arm.momentum_sums.task != tasks[2]);
+    /* a cycle that does something else leaves the task where it is */
+    const bool rests = (tasks[0] != ZYGOS_TASK_NONE) && (sums->task == tasks[0]) && (sums->row == energy_row);
     const bool energy = (config->arc_cycles > 0);
     const bool instant = energy ? (arm.instant == 1) : (joints->accepted + joints->refused != instants);
     const uint32_t left = config->joint_row_cycles / 2u - arm.joint.position;
@@ -126,7 +129,7 @@ static place_t step(uint32_t frames)
         .row_signal = (row > 0) ? signal : 0u,
         .row_moved =
             adding + (((adding == 1u) && (cursor + joints->slice >= zygos_gram_entries(joints->width))) ? 2u : 0u),
-        .energy_task = of_energy,
+        .energy_task = of_energy | (rests ? 1u << 31u : 0u),
         .motor_task = of_motors,
         .momentum_task = of_momentum,
     };
