@@ -47,7 +47,8 @@ PLACES = (
 """Where a cycle stands, as bench/driver.c has it."""
 RELEVANT: dict[str, tuple[str, ...]] = {
     "wire": ("frames",), "cycle": ("frames",), "smoother": ("position",), "kinematics": (), "balance": ("torque_at",),
-    "impulse": ("joint_turn", "torque_at", "motor_task"), "momentum": ("momentum_turn", "momentum_task"),
+    "impulse": ("joint_turn", "torque_at", "motor_task", "row_turn"),
+    "momentum": ("momentum_turn", "momentum_task", "row_turn"),
     "joint": ("row_turn", "row_step", "row_signal", "row_moved"), "noise": ("turn", "torque_at"),
     "accumulator": ("filled", "first", "energy_task"), "frame": ("frames",),
 }  # fmt: skip

@@ -63,7 +63,7 @@ static uint32_t energy_task(const zygos_accumulator_t *sums)
     const uint32_t lacking = (unused < ZYGOS_SPARE_BLOCKS) ? 1u : 0u;
     const uint32_t dirty = (unused > sums->ready) ? 1u : 0u;
     return (waiting << 24u) | (sums->task << 16u) | (closing << 15u) | (noise << 14u) | (lacking << 13u) |
-           (dirty << 12u) | sums->row;
+           (dirty << 12u) | ((sums->task != ZYGOS_TASK_NONE) ? sums->row : 0u);
 }
 
 /* What counts instructions sees this call behind each cycle. */

@@ -24,6 +24,8 @@ from zygos.errors import ZygosError
 Counter = Callable[[str, str, int], Count]
 SCANNED = 100
 """Most instructions by which a part of a task differs by its data."""
+CYCLES = 1200
+"""Of a run; enough for the parts of tasks to come again."""
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +58,7 @@ def measured(target: str, one: Configuration, inputs: int, folder: Path) -> Coun
 @pytest.mark.parametrize(("target", "name"), tables.HELD)
 def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, name: str) -> None:
     """All frames in, the row accumulated; the mean of ordinary cycles, wherever they stand."""
-    count = counted(target, name, 750)
+    count = counted(target, name, CYCLES)
     mean = float(count.stage(TOGETHER)[count.ordinary()].mean())
     assert count.ordinary().sum() > 500
     assert mean <= tables.HELD[target, name], f"where it goes: {profile(count)}"
@@ -78,7 +80,7 @@ def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, n
 )
 def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str, name: str) -> None:
     """At rest, at random, smooth; accepted by the bandwidth test or refused: at the same place, the same count."""
-    count = counted(target, name, 750)
+    count = counted(target, name, CYCLES)
     chosen = count.ordinary()
     stepped = [stage for stage in RELEVANT if stage not in ("wire", "cycle", "frame")] + ["step"]
     spreads = {stage: spread_by_data(count, stage) for stage in stepped}
@@ -89,7 +91,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
     # the places that excuse a difference are few beside the cycles that are compared
     for stage, relevant in RELEVANT.items():
         places = count.places[chosen][:, [PLACES.index(one) for one in relevant]]
-        assert not relevant or 4 * len(np.unique(places, axis=0)) < len(places), stage
+        assert not relevant or 3 * len(np.unique(places, axis=0)) < len(places), stage
 
 
 @pytest.mark.slow
@@ -98,7 +100,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
 )
 def test_no_cycle_costs_much_more_than_the_others(counted: Counter, target: str, name: str) -> None:
     """What ends and opens arcs and blocks proceeds by a part per cycle; but not where arcs end in quick succession."""
-    count = counted(target, name, 750)
+    count = counted(target, name, CYCLES)
     cycles, early = count.stage(TOGETHER), count.early()
     assert cycles[~early].max() <= tables.FLAT * cycles[count.ordinary()].mean()
     assert early.any() or not name.startswith("spatial")
@@ -110,7 +112,7 @@ def test_compensation_and_motor_rows_cost_little(counted: Counter) -> None:
     mean = {
         name: float(count.stage("step")[count.ordinary()].mean())
         for name in ("paper", "paper, bare", "motor_coulomb", "spring_offset")
-        for count in [counted("m7", name, 750)]
+        for count in [counted("m7", name, CYCLES)]
     }
     assert 0.0 < mean["paper"] - mean["paper, bare"] <= 1600.0
     assert min(mean["motor_coulomb"], mean["spring_offset"]) > mean["paper"]
@@ -118,8 +120,8 @@ def test_compensation_and_motor_rows_cost_little(counted: Counter) -> None:
 
 @pytest.mark.slow
 def test_a_count_repeats_exactly(counted: Counter, tmp_path: Path) -> None:
-    first = counted("m7", "paper, bare", 750)
-    again = measured("m7", CONFIGURATIONS["paper, bare"](), 750, tmp_path)
+    first = counted("m7", "paper, bare", CYCLES)
+    again = measured("m7", CONFIGURATIONS["paper, bare"](), CYCLES, tmp_path)
     np.testing.assert_array_equal(first.tally.stages, again.tally.stages)
     # what the stages say is what the functions say
     sums = np.sum(list(first.tally.functions.values()), axis=0)
@@ -140,7 +142,7 @@ def test_a_run_for_another_build_is_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
     """zygos_t is the same on both targets, and its rooms fit into it."""
-    host, target = counted("x86-64", "paper, bare", 750).sizes, counted("m7", "paper, bare", 750).sizes
+    host, target = counted("x86-64", "paper, bare", CYCLES).sizes, counted("m7", "paper, bare", CYCLES).sizes
     assert host == target
     rooms = sum(size for name, size in host.items() if name not in ("parameters", "whole", "solver"))
     assert 0.95 < rooms / host["whole"] < 1.0
@@ -172,7 +174,7 @@ def test_what_was_measured_is_still_so(counted: Counter) -> None:
     content = json.loads(tables.COMMITTED.read_text())
     compilers = {"x86-64": "gcc", "m7": "arm-none-eabi-gcc"}
     for target, compiler in compilers.items():
-        count = counted(target, "paper, bare", 750)
+        count = counted(target, "paper, bare", CYCLES)
         version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True).stdout
         if content["tools"][compiler] != version.splitlines()[0]:
             continue
