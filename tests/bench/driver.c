@@ -114,6 +114,7 @@ static place_t step(uint32_t frames)
     const bool early = (closing[0] && (arm.arc < open[0])) || (closing[1] && (arm.motor_sums.cycles < open[1])) ||
                        (closing[2] && (arm.momentum_sums.cycles < open[2]));
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
+    const uint32_t first_link = ((arm.arc % sensors) == 1u) ? 1u : 0u; /* its noise was added: no part of a task */
     return (place_t){
         .kind = early ? KIND_EARLY : (instant ? kind : KIND_FILLS),
         .frames = frames,
@@ -129,7 +130,7 @@ static place_t step(uint32_t frames)
         .row_signal = (row > 0) ? signal : 0u,
         .row_moved =
             adding + (((adding == 1u) && (cursor + joints->slice >= zygos_gram_entries(joints->width))) ? 2u : 0u),
-        .energy_task = of_energy | (rests ? 1u << 31u : 0u),
+        .energy_task = of_energy | (first_link << 30u) | (rests ? 1u << 31u : 0u),
         .motor_task = of_motors,
         .momentum_task = of_momentum,
     };
