@@ -159,11 +159,15 @@ static void hostile(slot_t slot, uint64_t cycle)
     const uint32_t kind = below(64);
     if (kind < 36) { /* as it should be */
         feed(&frame);
-    } else if (kind < 46) { /* the CRC finds up to three wrong bits, whatever the counter was */
+    } else if (kind <
+               46) { /* the CRC finds up to three wrong bits, but for those of the counter, which chooses the ID */
+        const uint8_t header = frame.data[1];
         const uint32_t bits = 1u + below(8);
         flip(&frame, bits);
+        const bool counted = (((frame.data[1] ^ header) & 0x0Fu) != 0);
         const int verdict = feed(&frame);
-        check(!protected || (bits > 3) || (verdict == ZYGOS_REJECTED), "up to three wrong bits were taken", &frame);
+        check(!protected || (bits > 3) || counted || (verdict == ZYGOS_REJECTED), "up to three wrong bits were taken",
+              &frame);
     } else if (kind < 49) {
         const uint8_t length = frame.length;
         frame.length = (uint8_t)(below(2) ? below(length) : below(256));
