@@ -270,9 +270,9 @@ static uint32_t entries_of_part(const zygos_accumulator_t *self)
     return (part > ZYGOS_LEAST_PART) ? part : ZYGOS_LEAST_PART;
 }
 
-uint32_t zygos_accumulator_part(const zygos_accumulator_t *self, uint32_t times)
+uint32_t zygos_accumulator_part(const zygos_accumulator_t *self)
 {
-    const uint32_t most = times * entries_of_part(self);
+    const uint32_t most = entries_of_part(self);
     uint32_t end = self->row;
     for (uint32_t n = 0; (end < self->width) && (n < most); end++) {
         n += end + 1u;
@@ -316,7 +316,7 @@ static void clear_block(zygos_block_t *block, uint32_t width)
 
 static void proceed_clear(zygos_accumulator_t *self)
 {
-    const uint32_t end = zygos_accumulator_part(self, 1u);
+    const uint32_t end = zygos_accumulator_part(self);
     const uint32_t first = zygos_gram_entries(self->row);
     zygos_block_t *block = at(self, first_of(self->places));
     memset(&block->gram[first], 0, (zygos_gram_entries(end) - first) * sizeof block->gram[0]);
@@ -344,7 +344,7 @@ static void proceed_merge(zygos_accumulator_t *self)
     const double own = fade_of(to);
     const double other = fade_of(from);
     if (self->row < self->width) {
-        const uint32_t end = zygos_accumulator_part(self, 1u);
+        const uint32_t end = zygos_accumulator_part(self);
         for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
             to->gram[k] = own * to->gram[k] + other * from->gram[k];
         }
@@ -523,7 +523,7 @@ static void proceed_verify_noise(zygos_accumulator_t *self)
         begin_task(self, ZYGOS_TASK_JUDGE, 0);
         return;
     }
-    const uint32_t end = zygos_accumulator_part(self, 1u);
+    const uint32_t end = zygos_accumulator_part(self);
     zygos_gram_scan(&self->scan, noise->gram, self->row, (end < rows) ? end : rows);
     if (!task_ends(self, end)) {
         return;
@@ -542,7 +542,7 @@ static void proceed_verify(zygos_accumulator_t *self)
         proceed_verify_noise(self);
         return;
     }
-    const uint32_t end = zygos_accumulator_part(self, 1u);
+    const uint32_t end = zygos_accumulator_part(self);
     zygos_block_t *block = at(self, first_of(self->places));
     zygos_gram_scan(&self->scan, block->gram, self->row, end);
     if (!task_ends(self, end)) {
@@ -581,7 +581,7 @@ static void proceed_verify(zygos_accumulator_t *self)
    entry by itself. */
 static void proceed_centre(zygos_accumulator_t *self)
 {
-    const uint32_t end = zygos_accumulator_part(self, 1u);
+    const uint32_t end = zygos_accumulator_part(self);
     zygos_block_t *block = at(self, first_of(self->places));
     const double *mean = self->mean;
     const double *s = &block->gram[zygos_gram_entries(self->width - 1u)];
@@ -652,7 +652,7 @@ static void proceed_admit(zygos_accumulator_t *self)
     zygos_noise_sums_t *open = &self->noise_open[self->parity ^ 1u];
     const double factor = ((self->admitted != 0) ? 1.0 : 0.0) / self->noise_fade;
     if ((self->noisy != 0) && (self->row < self->width)) {
-        const uint32_t end = zygos_accumulator_part(self, 1u);
+        const uint32_t end = zygos_accumulator_part(self);
         for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
             self->noise_closed.gram[k] += factor * open->gram[k];
             open->gram[k] = 0.0;

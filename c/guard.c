@@ -286,7 +286,7 @@ void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *confi
         begin_comparison(self, config, sums);
     }
     self->walk = (sums->row == 0) ? 0.0 : self->walk;
-    const uint32_t end = (self->comparing != 0) ? zygos_accumulator_part(sums, 1u) : sums->width;
+    const uint32_t end = (self->comparing != 0) ? zygos_accumulator_part(sums) : sums->width;
     if ((self->comparing != 0) && block) {
         const zygos_block_t *from = zygos_accumulator_at(sums, sums->rank);
         add_part(self, sums, end, from->gram, from->deviation, &self->rows);

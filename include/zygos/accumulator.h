@@ -182,8 +182,8 @@ bool zygos_accumulator_closing(const zygos_accumulator_t *self);
 /// ZYGOS_PASS_CYCLES entries.
 void zygos_accumulator_proceed(zygos_accumulator_t *self);
 
-/// Returns the row before which the next part of the task ends, with so many times the usual number of entries.
-uint32_t zygos_accumulator_part(const zygos_accumulator_t *self, uint32_t times);
+/// Returns the row before which the next part of the task ends.
+uint32_t zygos_accumulator_part(const zygos_accumulator_t *self);
 
 /// Ends ZYGOS_TASK_JUDGE of one block of the closing arc, and with it that of the whole arc, which is admitted or not.
 void zygos_accumulator_judged_block(zygos_accumulator_t *self);

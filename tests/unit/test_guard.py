@@ -422,19 +422,24 @@ def test_the_limit_of_a_mean_square_is_six_sigmas_of_chi_square_with_its_margin(
     assert lib.zygos_guard_chi_square_limit(0.5) == lib.zygos_guard_chi_square_limit(1.0)
 
 
-@pytest.mark.parametrize("worst", [0.99, 1.01])
-def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(motion: Trajectory, worst: float) -> None:
-    arm, cycles, judge, admit = motion.arm, seen(motion, 0), 2, 3
-    flight = Flight(arm)
+def fly_until(flight: Flight, cycles: Cycles, reached: Callable[[], bool]) -> None:
+    """Half of the cycles, of which the estimate is adopted, and then one after the other."""
     half = len(cycles) // 2
     flight.cycles(part(cycles, 0, half))
     flight.estimate()
     assert flight.adopt()
-    motors, guard = flight.native.motor_sums, flight.native.guard
     for k in range(half, len(cycles)):
         flight.cycles(part(cycles, k, k + 1))
-        if motors.task == judge and motors.joint == 1:
+        if reached():
             break
+
+
+@pytest.mark.parametrize("worst", [0.99, 1.01])
+def test_motor_rows_are_left_out_where_the_worst_joint_is_above_its_limit(motion: Trajectory, worst: float) -> None:
+    arm, judge, admit = motion.arm, 2, 3
+    flight = Flight(arm)
+    motors, guard = flight.native.motor_sums, flight.native.guard
+    fly_until(flight, seen(motion, 0), lambda: bool(motors.task == judge and motors.joint == 1))
     assert guard.motor_worst < 0.99
     guard.motor_worst = worst  # of the first joint
     names = ("guard", "config", "column_map", "motor_sums")
@@ -475,16 +480,10 @@ def test_an_arc_is_compared_by_the_sums_of_residuals_in_its_blocks(motion: Traje
 
 def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajectory) -> None:
     """What is left of the arc before changes nothing."""
-    arm, cycles, judge = replace(motion.arm, momentum_max_s=ARC_S), seen(motion, 0), 4
-    flight, half = Flight(arm), len(cycles) // 2
-    flight.cycles(part(cycles, 0, half))
-    flight.estimate()
-    assert flight.adopt()
+    judge = 4
+    flight = Flight(replace(motion.arm, momentum_max_s=ARC_S))
     guard, momentum = flight.native.guard, flight.native.momentum_sums
-    for k in range(half, len(cycles)):
-        flight.cycles(part(cycles, k, k + 1))
-        if momentum.task == judge:
-            break
+    fly_until(flight, seen(motion, 0), lambda: bool(momentum.task == judge))
     assert (momentum.task, momentum.row) == (judge, 0)
     before, found = bytes(ffi.buffer(flight.native)), []
     for left in (0.0, 1e3):
