@@ -67,6 +67,19 @@ bool zygos_work_settle(zygos_work_t *work)
     return quarantined(work) == before;
 }
 
+/* Whether what is summed matches what is summed beside it, or has the right checksum. */
+static bool match(const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
+                  const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints, const zygos_config_t *config)
+{
+    return (zygos_accumulator_check(energy) <= 1.0) && (zygos_motor_sums_check(motors, config) <= 1.0) &&
+           (zygos_momentum_sums_check(momentum) <= 1.0) && (zygos_joint_sums_check(joints) <= 1.0);
+}
+
+bool zygos_solver_matches(const zygos_solver_t *self)
+{
+    return match(self->accumulator, self->motor_sums, self->momentum_sums, self->joint_sums, self->config);
+}
+
 /* Whether the work was taken, and from memory that nobody changed; closes the open arcs. Apart from the solver, so that
    who only checks does not link it. */
 bool zygos_work_intact(zygos_work_t *work)
@@ -79,9 +92,7 @@ bool zygos_work_intact(zygos_work_t *work)
     zygos_joint_sums_flush(&work->joint_sums, &work->config);
     zygos_guard_end_joints(&work->guard, &work->config, &work->joint_sums, work->cycle, &work->joints_forgetting);
     zygos_joint_sums_flush(&work->joint_sums, &work->config);
-    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_motor_sums_check(&work->motor_sums, &work->config) <= 1.0) ||
-        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0) ||
-        !(zygos_joint_sums_check(&work->joint_sums) <= 1.0)) {
+    if (!match(sums, &work->motor_sums, &work->momentum_sums, &work->joint_sums, &work->config)) {
         return false;
     }
     const uint32_t before = quarantined(work);

@@ -55,7 +55,7 @@ static double infinity(void)
 
 /* Cholesky of the scaled matrix with symmetric pivoting, in place in work->factor; rows are reordered by work->pivot.
    Returns the number of columns that are independent, at the most most. */
-static uint32_t factorise(zygos_work_t *work, uint32_t p, uint32_t most)
+static uint32_t factorise(zygos_solver_t *work, uint32_t p, uint32_t most)
 {
     double *l = work->factor;
     for (uint32_t i = 0; i < p; i++) {
@@ -130,7 +130,7 @@ static double form(const double *packed, const double *x, uint32_t p)
 
 /* The scaled matrix and right side of all blocks, less those of one unless it is null. noise: share of the declared
    noise that is subtracted. */
-static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t *without, double noise)
+static void scaled_equations(zygos_solver_t *work, uint32_t p, const zygos_block_t *without, double noise)
 {
     const double *total = work->total;
     const double *declared = work->noise;
@@ -150,9 +150,9 @@ static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t
 }
 
 /* Where column c of the motor row of joint i stands; behind the last of them the right side. */
-static uint32_t place_of(const zygos_work_t *work, uint32_t i, uint32_t c)
+static uint32_t place_of(const zygos_solver_t *work, uint32_t i, uint32_t c)
 {
-    const zygos_impulse_column_map_t *motor = &work->motor_sums.column_map;
+    const zygos_impulse_column_map_t *motor = &work->motor_sums->column_map;
     const zygos_column_map_t *column_map = &work->column_map;
     if (c < 3u) {
         return column_map->place[column_map->joint[i] + c];
@@ -161,9 +161,9 @@ static uint32_t place_of(const zygos_work_t *work, uint32_t i, uint32_t c)
 }
 
 /* out += factor times a packed matrix of joint i; sides: its right side as well. */
-static void embed(const zygos_work_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
+static void embed(const zygos_solver_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
 {
-    const uint32_t count = work->motor_sums.column_map.count[i];
+    const uint32_t count = work->motor_sums->column_map.count[i];
     for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
         const uint32_t place_a = place_of(work, i, a);
         for (uint32_t b = 0; b <= a; b++) {
@@ -175,11 +175,11 @@ static void embed(const zygos_work_t *work, uint32_t i, const double *local, dou
 }
 
 /* The scaled equations without an arc of the motor rows. */
-static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_motor_block_t *arc)
+static void scaled_without_arc(zygos_solver_t *work, uint32_t p, const zygos_motor_block_t *arc)
 {
     scaled_equations(work, p, NULL, work->noise_scale);
-    for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->motor_sums.column_map.count[i];
+    for (uint32_t i = 0; i < work->config->joints; i++) {
+        const uint32_t count = work->motor_sums->column_map.count[i];
         for (uint32_t a = 0; (a <= count) && (count > 0); a++) {
             const uint32_t place_a = place_of(work, i, a);
             for (uint32_t b = 0; (b <= a) && (b < count); b++) {
@@ -197,17 +197,17 @@ static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_motor
 }
 
 /* Where column c of the momentum rows stands, if it does. Places ascend. */
-static uint32_t momentum_place(const zygos_work_t *work, uint32_t c)
+static uint32_t momentum_place(const zygos_solver_t *work, uint32_t c)
 {
     const zygos_column_map_t *column_map = &work->column_map;
     return column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
 }
 
 /* out += factor times a matrix of the momentum rows, scaled where there is a scale. */
-static void embed_momentum(const zygos_work_t *work, const double *local, double factor, const double *scale,
+static void embed_momentum(const zygos_solver_t *work, const double *local, double factor, const double *scale,
                            double *out)
 {
-    for (uint32_t a = 0; a < work->momentum_sums.columns; a++) {
+    for (uint32_t a = 0; a < work->momentum_sums->columns; a++) {
         const uint32_t place_a = momentum_place(work, a);
         for (uint32_t b = 0; (b <= a) && (place_a != ZYGOS_NO_PLACE); b++) {
             const uint32_t place_b = momentum_place(work, b);
@@ -221,16 +221,16 @@ static void embed_momentum(const zygos_work_t *work, const double *local, double
 }
 
 /* The scaled equations without an arc of the momentum rows. */
-static void scaled_without_momentum(zygos_work_t *work, uint32_t p, const zygos_momentum_block_t *arc)
+static void scaled_without_momentum(zygos_solver_t *work, uint32_t p, const zygos_momentum_block_t *arc)
 {
     scaled_equations(work, p, NULL, work->noise_scale);
     embed_momentum(work, arc->rows.gram, -work->momentum_weight, work->scale, work->matrix);
 }
 
 /* The factor of a group of joint rows in the total. */
-static double group_factor(const zygos_work_t *work, uint32_t g)
+static double group_factor(const zygos_solver_t *work, uint32_t g)
 {
-    return work->joints_weight * work->joint_sums.group[g].fade;
+    return work->joints_weight * work->joint_sums->group[g].fade;
 }
 
 /* out += factor times the matrix of a group of joint rows and its right side. */
@@ -242,13 +242,13 @@ static void embed_joints(const double *local, double factor, uint32_t p, double 
 }
 
 /* The scaled equations without a group of the joint rows. */
-static void scaled_without_group(zygos_work_t *work, uint32_t p, uint32_t g)
+static void scaled_without_group(zygos_solver_t *work, uint32_t p, uint32_t g)
 {
-    const double *gram = work->joint_sums.group[g].rows.gram;
+    const double *gram = work->joint_sums->group[g].rows.gram;
     const double factor = group_factor(work, g);
     const double rows = work->joints_alone ? work->instants : 1.0;
     const double part =
-        work->joints_alone ? work->joint_sums.group[g].fade * work->joint_sums.group[g].count / rows : 0.0;
+        work->joints_alone ? work->joint_sums->group[g].fade * work->joint_sums->group[g].count / rows : 0.0;
     scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i <= p; i++) {
         for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
@@ -264,7 +264,7 @@ static void scaled_without_group(zygos_work_t *work, uint32_t p, uint32_t g)
 }
 
 /* Solves the scaled equations of the rank independent columns; dependent ones become 0. Unscaled solution in x. */
-static void solve_once(zygos_work_t *work, uint32_t p, uint32_t rank, double *x)
+static void solve_once(zygos_solver_t *work, uint32_t p, uint32_t rank, double *x)
 {
     for (uint32_t i = 0; i < rank; i++) {
         work->score[i] = work->right_side[work->pivot[i]];
@@ -277,7 +277,7 @@ static void solve_once(zygos_work_t *work, uint32_t p, uint32_t rank, double *x)
 }
 
 /* A dependent column can be exchanged for the independent ones it is made of: neither then has a value. */
-static void mark_identifiable(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+static void mark_identifiable(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     for (uint32_t i = 0; i < p; i++) {
         out->identifiable[i] = 1;
@@ -297,7 +297,7 @@ static void mark_identifiable(zygos_work_t *work, uint32_t p, uint32_t rank, zyg
 }
 
 /* 1-norm condition number of the scaled matrix of the independent columns; *inverse is the norm of its inverse. */
-static double condition(zygos_work_t *work, uint32_t rank, double *inverse)
+static double condition(zygos_solver_t *work, uint32_t rank, double *inverse)
 {
     double norm = 0.0;
     double inverse_norm = 0.0;
@@ -320,7 +320,7 @@ static double condition(zygos_work_t *work, uint32_t rank, double *inverse)
 }
 
 /* Diagonal of the inverse of the factorised matrix; 0 for columns that left the factorisation. */
-static void inverse_diagonal(zygos_work_t *work, uint32_t p, uint32_t rank, double *out)
+static void inverse_diagonal(zygos_solver_t *work, uint32_t p, uint32_t rank, double *out)
 {
     const double *l = work->factor;
     memset(out, 0, p * sizeof out[0]);
@@ -346,9 +346,9 @@ static double student(double degrees_of_freedom)
 }
 
 /* The score of a block: its right side less its matrix times the solution, scaled. */
-static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *block, double *out)
+static void score(const zygos_solver_t *work, uint32_t p, const zygos_block_t *block, double *out)
 {
-    const double *declared = work->accumulator.noise_closed.gram;
+    const double *declared = work->accumulator->noise_closed.gram;
     const double back = (1.0 - work->noise_scale) * work->noise_fraction * block->instants / work->instants;
     for (uint32_t i = 0; i < p; i++) {
         double sum = block->gram[at(p, i)] + back * declared[at(p, i)];
@@ -360,11 +360,11 @@ static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *blo
 }
 
 /* The same of an arc of the motor rows. */
-static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_motor_block_t *arc, double *out)
+static void score_of_arc(const zygos_solver_t *work, uint32_t p, const zygos_motor_block_t *arc, double *out)
 {
     memset(out, 0, p * sizeof out[0]);
-    for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->motor_sums.column_map.count[i];
+    for (uint32_t i = 0; i < work->config->joints; i++) {
+        const uint32_t count = work->motor_sums->column_map.count[i];
         const double *gram = arc->joint[i].gram;
         for (uint32_t a = 0; a < count; a++) {
             const uint32_t place = place_of(work, i, a);
@@ -377,9 +377,9 @@ static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_motor
     }
 }
 
-static void score_of_momentum(const zygos_work_t *work, uint32_t p, const zygos_momentum_block_t *arc, double *out)
+static void score_of_momentum(const zygos_solver_t *work, uint32_t p, const zygos_momentum_block_t *arc, double *out)
 {
-    const uint32_t count = work->momentum_sums.columns;
+    const uint32_t count = work->momentum_sums->columns;
     memset(out, 0, p * sizeof out[0]);
     for (uint32_t a = 0; a < count; a++) {
         const uint32_t place = momentum_place(work, a);
@@ -395,9 +395,9 @@ static void score_of_momentum(const zygos_work_t *work, uint32_t p, const zygos_
 }
 
 /* The same of a group of joint rows. */
-static void score_of_group(const zygos_work_t *work, uint32_t p, uint32_t g, double *out)
+static void score_of_group(const zygos_solver_t *work, uint32_t p, uint32_t g, double *out)
 {
-    const double *gram = work->joint_sums.group[g].rows.gram;
+    const double *gram = work->joint_sums->group[g].rows.gram;
     for (uint32_t i = 0; i < p; i++) {
         double sum = gram[at(p, i)];
         for (uint32_t j = 0; j < p; j++) {
@@ -409,7 +409,7 @@ static void score_of_group(const zygos_work_t *work, uint32_t p, uint32_t g, dou
 
 /* By how much the square of a block's own influence is too small, at least 1: the change without the block over its own
    influence, both along its score, which is in right_side. */
-static double enlargement(const zygos_work_t *work, uint32_t p, const double *change)
+static double enlargement(const zygos_solver_t *work, uint32_t p, const double *change)
 {
     double whole = 0.0;
     double own = 0.0;
@@ -427,12 +427,12 @@ static double enlargement(const zygos_work_t *work, uint32_t p, const double *ch
    those of squares: of the blocks' own influences, each enlarged by what it is too small by in its own direction. A
    parameter whose information comes from few blocks has few degrees of freedom. A block without which the equations
    lose rank leaves all sigmas infinite: the motion was informative once only. */
-static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *covariance)
+static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
 {
-    const zygos_accumulator_t *energy_sums = &work->accumulator;
-    const zygos_motor_block_t *arc = &work->motor_sums.block[work->arcs.first];
+    const zygos_accumulator_t *energy_sums = work->accumulator;
+    const zygos_motor_block_t *arc = &work->motor_sums->block[work->arcs.first];
     const uint32_t energy_blocks = work->blocks.end - work->blocks.first;
-    const zygos_momentum_block_t *momenta = &work->momentum_sums.block[work->momenta.first];
+    const zygos_momentum_block_t *momenta = &work->momentum_sums->block[work->momenta.first];
     const uint32_t energy_and_motors = energy_blocks + (work->arcs.end - work->arcs.first);
     const uint32_t arcs = energy_and_motors + (work->momenta.end - work->momenta.first);
     const uint32_t blocks = arcs + ((work->joints_weight > 0.0) ? (uint32_t)ZYGOS_GROUP_PLACES : 0u);
@@ -534,7 +534,7 @@ static bool pair_of(const zygos_config_t *config, uint32_t k, uint32_t *a, uint3
 }
 
 /* What the sigma of a column's coefficient is compared with: see ZYGOS_SIGMA_LIMIT. */
-static void measure_columns(const zygos_work_t *work, const double *x, double *size)
+static void measure_columns(const zygos_solver_t *work, const double *x, double *size)
 {
     const zygos_column_map_t *column_map = &work->column_map;
     double diagonal[ZYGOS_MAX_DIRECTIONS] = { 0.0 };
@@ -544,17 +544,17 @@ static void measure_columns(const zygos_work_t *work, const double *x, double *s
     for (uint32_t k = 0; k < column_map->body; k++) {
         if (k >= column_map->kinetic) {
             moment = (magnitude(x[k]) > moment) ? magnitude(x[k]) : moment;
-        } else if (!pair_of(&work->config, k, &a, &b) && (a == b)) {
+        } else if (!pair_of(work->config, k, &a, &b) && (a == b)) {
             diagonal[a] = magnitude(x[k]);
         }
     }
-    if ((work->config.kinetic == ZYGOS_SPATIAL_ARM) && (work->config.base == ZYGOS_BASE_FIXED)) {
+    if ((work->config->kinetic == ZYGOS_SPATIAL_ARM) && (work->config->base == ZYGOS_BASE_FIXED)) {
         diagonal[1] = diagonal[0];
     }
     for (uint32_t k = 0; k < column_map->count; k++) {
         size[k] = (k < column_map->body) ? moment : 0.0;
         if (k < column_map->kinetic) {
-            (void)pair_of(&work->config, k, &a, &b);
+            (void)pair_of(work->config, k, &a, &b);
             size[k] = root(diagonal[a] * diagonal[b]);
         }
         size[k] = (size[k] > magnitude(x[k])) ? size[k] : magnitude(x[k]);
@@ -563,9 +563,9 @@ static void measure_columns(const zygos_work_t *work, const double *x, double *s
 
 /* The same for the parameters: one that counts for several columns by factors changes none of them by more than its
    size. It is at least the parameter itself. */
-static void measure(zygos_work_t *work)
+static void measure(zygos_solver_t *work)
 {
-    const zygos_config_t *config = &work->config;
+    const zygos_config_t *config = work->config;
     double columns[ZYGOS_MAX_COLUMNS];
     double size[ZYGOS_MAX_COLUMNS];
     zygos_expand(config, &work->column_map, work->solution, columns);
@@ -591,9 +591,9 @@ static void measure(zygos_work_t *work)
 /* m := m - Im y y^T of each rotor i and each direction y of it: a thin disk on the body before its joint, with half of
    Im along both directions across the axis. What lies along a body's own joint axis is carried on to the body before.
  */
-static void subtract_rotors(const zygos_work_t *work, double *m, uint32_t size)
+static void subtract_rotors(const zygos_solver_t *work, double *m, uint32_t size)
 {
-    const zygos_config_t *config = &work->config;
+    const zygos_config_t *config = work->config;
     const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
     const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? (space ? 3u : 2u) : 0u;
     zygos_geometry_t geometry;
@@ -632,9 +632,9 @@ static void subtract_rotors(const zygos_work_t *work, double *m, uint32_t size)
 /* A kinetic energy that is positive for every motion needs the matrix of the bodies less the rotors' share to be
    positive definite; its diagonal may fall short by some sigmas. A planar arm's has each a_ij once for each direction.
    The order of the directions is reversed: of the last two on a fixed base only the sum of the diagonal is known. */
-static bool positive_definite(zygos_work_t *work, const double *sigma)
+static bool positive_definite(zygos_solver_t *work, const double *sigma)
 {
-    const zygos_config_t *config = &work->config;
+    const zygos_config_t *config = work->config;
     const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
     const bool free = (config->base == ZYGOS_BASE_FREE);
     const uint32_t size = 2u * config->joints + (free ? (space ? 3u : 2u) : 0u);
@@ -680,7 +680,7 @@ static bool positive_definite(zygos_work_t *work, const double *sigma)
 
 /* Whether each kinetic diagonal and each Im that has a value is positive, and, when all have, the matrix of the bodies.
    Needs a parameter for each column. */
-static bool bodies_physical(zygos_work_t *work, const zygos_estimate_t *out)
+static bool bodies_physical(zygos_solver_t *work, const zygos_estimate_t *out)
 {
     const zygos_column_map_t *column_map = &work->column_map;
     bool all = true;
@@ -688,11 +688,11 @@ static bool bodies_physical(zygos_work_t *work, const zygos_estimate_t *out)
     for (uint32_t k = 0; k < column_map->kinetic; k++) {
         uint32_t a = 0;
         uint32_t b = 0;
-        const bool cross = pair_of(&work->config, k, &a, &b);
+        const bool cross = pair_of(work->config, k, &a, &b);
         all = all && out->identifiable[k];
         good = good && (cross || (a != b) || !out->identifiable[k] || (out->value[k] > 0.0));
     }
-    for (uint32_t i = 0; i < work->config.joints; i++) {
+    for (uint32_t i = 0; i < work->config->joints; i++) {
         const uint32_t k = column_map->joint[i];
         all = all && (!column_map->rotor[i] || out->identifiable[k]);
         good = good && (!column_map->rotor[i] || !out->identifiable[k] || (out->value[k] > 0.0));
@@ -702,13 +702,13 @@ static bool bodies_physical(zygos_work_t *work, const zygos_estimate_t *out)
 
 /* Im, k and b of flexible joints that have a value must be positive; the bodies are judged where every column has a
    parameter of its own. An effect that cannot be negative may come out so by its noise. */
-static bool physical(zygos_work_t *work, const zygos_estimate_t *out)
+static bool physical(zygos_solver_t *work, const zygos_estimate_t *out)
 {
     const zygos_column_map_t *column_map = &work->column_map;
-    const uint32_t positive = zygos_effects_positive(&work->config);
+    const uint32_t positive = zygos_effects_positive(work->config);
     bool good = true;
-    for (uint32_t i = 0; i < work->config.joints; i++) {
-        for (uint32_t c = 0; (c < 3u) && (work->config.joint[i].rigid == 0); c++) {
+    for (uint32_t i = 0; i < work->config->joints; i++) {
+        for (uint32_t c = 0; (c < 3u) && (work->config->joint[i].rigid == 0); c++) {
             const uint32_t k = column_map->place[column_map->joint[i] + c];
             good = good && (!out->identifiable[k] || (out->value[k] > 0.0));
         }
@@ -734,7 +734,7 @@ static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
 
 /* The mean square of the undeclared noise for each scaled column, if it alone causes the residuals and is the same in
    all columns. It biases the values by its contribution to the squares of the columns. */
-static double noise_square(const zygos_work_t *work, uint32_t p, double unexplained)
+static double noise_square(const zygos_solver_t *work, uint32_t p, double unexplained)
 {
     double length = 0.0;
     for (uint32_t i = 0; i < p; i++) {
@@ -744,7 +744,7 @@ static double noise_square(const zygos_work_t *work, uint32_t p, double unexplai
 }
 
 /* Adds the same amount of noise again: the change of the solution is the error that the noise may hide. */
-static void shift_by_noise(zygos_work_t *work, uint32_t p, double noise)
+static void shift_by_noise(zygos_solver_t *work, uint32_t p, double noise)
 {
     scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i < p; i++) {
@@ -758,7 +758,7 @@ static void shift_by_noise(zygos_work_t *work, uint32_t p, double noise)
 
 /* Largest ratio of declared noise to sums over all combinations of the independent columns, by the power method; the
    factor is that of the sums. */
-static double noise_share(zygos_work_t *work, uint32_t rank)
+static double noise_share(zygos_solver_t *work, uint32_t rank)
 {
     const double *declared = work->noise;
     double *v = work->score;
@@ -796,7 +796,7 @@ static double noise_share(zygos_work_t *work, uint32_t rank)
 }
 
 /* Factorises without the given share of the declared noise, and solves. */
-static uint32_t solve_with(zygos_work_t *work, uint32_t p, uint32_t most, double noise, double *x)
+static uint32_t solve_with(zygos_solver_t *work, uint32_t p, uint32_t most, double noise, double *x)
 {
     scaled_equations(work, p, NULL, noise);
     const uint32_t rank = factorise(work, p, most);
@@ -805,51 +805,51 @@ static uint32_t solve_with(zygos_work_t *work, uint32_t p, uint32_t most, double
 }
 
 /* Sum over the columns of the momentum rows of x_a x_b entry. */
-static double momentum_form(const zygos_work_t *work, const zygos_momentum_gram_t *rows, const double *x)
+static double momentum_form(const zygos_solver_t *work, const zygos_momentum_gram_t *rows, const double *x)
 {
     double local[ZYGOS_MAX_MOMENTUM];
-    for (uint32_t a = 0; a < work->momentum_sums.columns; a++) {
+    for (uint32_t a = 0; a < work->momentum_sums->columns; a++) {
         const uint32_t place = momentum_place(work, a);
         local[a] = (place != ZYGOS_NO_PLACE) ? x[place] : 0.0;
     }
-    return form(rows->gram, local, work->momentum_sums.columns);
+    return form(rows->gram, local, work->momentum_sums->columns);
 }
 
 /* The squared residuals of the energy rows for x, including noise, and the part of the declared noise in them [J^2]; or
    of the joint rows where they alone are solved. */
-static double energy_left(const zygos_work_t *work, uint32_t p, const double *x, double *explained)
+static double energy_left(const zygos_solver_t *work, uint32_t p, const double *x, double *explained)
 {
     double left = form(work->total, x, p);
     if (work->joints_alone) {
         *explained = form(work->noise, x, p);
         left += *explained;
-        *explained += work->instants * zygos_joint_sums_torque_noise(&work->joint_sums, &work->config);
+        *explained += work->instants * zygos_joint_sums_torque_noise(work->joint_sums, work->config);
         return (left > 0.0) ? left : 0.0;
     }
     for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (work->joints_weight > 0.0); g++) {
-        left -= group_factor(work, g) * form(work->joint_sums.group[g].rows.gram, x, p);
+        left -= group_factor(work, g) * form(work->joint_sums->group[g].rows.gram, x, p);
     }
-    for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->motor_sums.column_map.count[i];
+    for (uint32_t i = 0; i < work->config->joints; i++) {
+        const uint32_t count = work->motor_sums->column_map.count[i];
         double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
         for (uint32_t a = 0; a < count; a++) {
             local[a] = x[place_of(work, i, a)];
         }
         for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (count > 0); b++) {
-            left -= work->weight[i] * form(work->motor_sums.block[b].joint[i].gram, local, count);
+            left -= work->weight[i] * form(work->motor_sums->block[b].joint[i].gram, local, count);
         }
     }
     for (uint32_t b = work->momenta.first; (b < work->momenta.end) && (work->momentum_weight > 0.0); b++) {
-        left -= work->momentum_weight * momentum_form(work, &work->momentum_sums.block[b].rows, x);
+        left -= work->momentum_weight * momentum_form(work, &work->momentum_sums->block[b].rows, x);
     }
-    *explained = work->noise_fraction * form(work->accumulator.noise_closed.gram, x, p);
+    *explained = work->noise_fraction * form(work->accumulator->noise_closed.gram, x, p);
     left += *explained;
     return (left > 0.0) ? left : 0.0;
 }
 
 /* Chooses the share of the declared noise that is subtracted: as much as the residuals show if that is clearly less,
    and not more than half of any combination. Needs the factor of the sums with their noise. */
-static void choose_noise_scale(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+static void choose_noise_scale(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const double share = noise_share(work, rank);
     double seen = 1.0;
@@ -869,7 +869,7 @@ static void choose_noise_scale(zygos_work_t *work, uint32_t p, uint32_t rank, zy
 }
 
 /* Scales to the sums with their noise and solves them as they are. Returns the rank. */
-static uint32_t begin(zygos_work_t *work, uint32_t p)
+static uint32_t begin(zygos_solver_t *work, uint32_t p)
 {
     for (uint32_t i = 0; i < p; i++) {
         const double square = work->total[at(i, i)] + work->noise[at(i, i)];
@@ -880,10 +880,10 @@ static uint32_t begin(zygos_work_t *work, uint32_t p)
 
 /* Mean square of the noise in a motor row of joint i: that of the signals of the instant, and that of the integral of
    the deflection, the mean over an arc of a random walk about its own mean. */
-static double joint_variance(const zygos_work_t *work, uint32_t i)
+static double joint_variance(const zygos_solver_t *work, uint32_t i)
 {
-    const zygos_motor_sums_t *sums = &work->motor_sums;
-    const zygos_joint_config_t *joint = &work->config.joint[i];
+    const zygos_motor_sums_t *sums = work->motor_sums;
+    const zygos_joint_config_t *joint = &work->config->joint[i];
     double local[ZYGOS_MAX_IMPULSE] = { 0.0 };
     double sum = 0.0;
     for (uint32_t a = 0; a < sums->column_map.count[i]; a++) {
@@ -892,7 +892,7 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
             sum += ((a == b) ? 1.0 : 2.0) * local[a] * local[b] * sums->noise[i][at(a, b)];
         }
     }
-    const double arc_s = work->config.period_s * (double)work->config.impulse_arc_cycles;
+    const double arc_s = work->config->period_s * (double)work->config->impulse_arc_cycles;
     const double reading =
         joint->link_sigma_rad * joint->link_sigma_rad + joint->motor_sigma_rad * joint->motor_sigma_rad;
     return sum + local[1] * local[1] * reading * arc_s * arc_s / WALK;
@@ -900,11 +900,11 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
 
 /* Adds the motor rows of each joint to those of the energy, weighted by their noise where they have no weights yet.
    energy: mean square of the noise in an energy row. */
-static void add_motors(zygos_work_t *work, double energy)
+static void add_motors(zygos_solver_t *work, double energy)
 {
-    const zygos_motor_sums_t *sums = &work->motor_sums;
+    const zygos_motor_sums_t *sums = work->motor_sums;
     const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_MIN_ARCS);
-    for (uint32_t i = 0; i < work->config.joints; i++) {
+    for (uint32_t i = 0; i < work->config->joints; i++) {
         if ((sums->column_map.count[i] > 0) && !(work->weight[i] > 0.0)) {
             const double joint = joint_variance(work, i);
             work->weight[i] = ((joint > 0.0) && enough) ? energy / joint : 0.0;
@@ -917,7 +917,7 @@ static void add_motors(zygos_work_t *work, double energy)
 }
 
 /* Adds the error that noise may hide to the sigmas. */
-static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+static void widen(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     for (uint32_t i = 0; i < p; i++) {
         out->covariance[at(i, i)] += work->noise_shift[i] * work->noise_shift[i];
@@ -928,14 +928,14 @@ static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 /* The jackknife shows only errors that differ between blocks. Two parts of the residuals may be the same in all blocks
    and do not average out: the part that adds up within a block, and the part that the declared noise does not explain.
    Of the latter, the error of one arc of the longest kind is kept. */
-static void add_common_error(const zygos_work_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
+static void add_common_error(const zygos_solver_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
 {
-    const double half_s = 0.5 * work->config.period_s * (double)work->config.joint_row_cycles;
-    const double joints = (double)work->config.joints;
+    const double half_s = 0.5 * work->config->period_s * (double)work->config->joint_row_cycles;
+    const double joints = (double)work->config->joints;
     const double blocks =
-        work->joints_alone ? work->joint_sums.apart_sums / joints : (double)(work->blocks.end - work->blocks.first);
+        work->joints_alone ? work->joint_sums->apart_sums / joints : (double)(work->blocks.end - work->blocks.first);
     const double arcs = work->joints_alone ? work->instants / joints * half_s / SYSTEMATIC_S
-                                           : work->instants / (double)work->config.arc_cycles;
+                                           : work->instants / (double)work->config->arc_cycles;
     /* The noise of torques adds up from row to row, as far as any noise does. */
     const double noise = work->joints_alone ? ZYGOS_CLUSTER_LIMIT : ZYGOS_CLUSTER_NOISE;
     const double alike = (out->cluster > noise) ? 1.0 - noise / out->cluster : 0.0;
@@ -946,7 +946,7 @@ static void add_common_error(const zygos_work_t *work, uint32_t p, double system
     }
 }
 
-static bool is_precise(const zygos_work_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
+static bool is_precise(const zygos_solver_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
 {
     return out->sigma[i] <= limit * work->size[i];
 }
@@ -955,7 +955,7 @@ static bool is_precise(const zygos_work_t *work, const zygos_estimate_t *out, ui
    determined by noise. Therefore the equations are solved again without the imprecise values, and the change is added
    to the sigmas of the others. Columns that were removed from the factorisation have no such influence. An effect may
    be zero, so that its sigma cannot be compared with a size. */
-static void withhold_imprecise(zygos_work_t *work, bool full, zygos_estimate_t *out)
+static void withhold_imprecise(zygos_solver_t *work, bool full, zygos_estimate_t *out)
 {
     const uint32_t p = work->column_map.parameters;
     const uint32_t effects = work->column_map.reduced;
@@ -1003,12 +1003,12 @@ static int refuse(zygos_estimate_t *out, uint32_t p, uint32_t reason)
 
 /* Mean over the blocks of (sum of residuals)^2 / sum of squared weights, in units of the mean square residual; *share
    is the root mean square of the blocks' mean residuals, in units of the work's spread. */
-static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
+static double cluster(const zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
 {
     double squares = 0.0;
     double means = 0.0;
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        const zygos_block_t *block = zygos_accumulator_at(&work->accumulator, b);
+        const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
         double sum = block->deviation[p];
         for (uint32_t i = 0; i < p; i++) {
             sum -= work->solution[i] * block->deviation[i];
@@ -1023,9 +1023,9 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
 }
 
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
-static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
+static void choose_momenta(zygos_solver_t *work, uint64_t after, uint64_t until)
 {
-    const zygos_momentum_sums_t *sums = &work->momentum_sums;
+    const zygos_momentum_sums_t *sums = work->momentum_sums;
     work->momenta.first = 0;
     while ((work->momenta.first < sums->count) && (sums->block[work->momenta.first].end <= after)) {
         work->momenta.first++;
@@ -1037,10 +1037,10 @@ static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
 }
 
 /* Chooses the blocks that are used, and sums them: first those of the energy, then those of the motors. */
-static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
+static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
-    const zygos_accumulator_t *sums = &work->accumulator;
-    const zygos_motor_sums_t *joints = &work->motor_sums;
+    const zygos_accumulator_t *sums = work->accumulator;
+    const zygos_motor_sums_t *joints = work->motor_sums;
     const uint64_t after = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->end : 0u;
     const uint64_t until = (end > 0) ? zygos_accumulator_at(sums, end - 1u)->end : 0u;
     double all = 0.0;
@@ -1075,9 +1075,9 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
 }
 
 /* Chooses joint rows alone, of the groups from first to before end; the declared noise of all is shared out to them. */
-static void choose_joints(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
+static void choose_joints(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
-    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const zygos_joint_sums_t *sums = work->joint_sums;
     work->blocks.first = 0;
     work->blocks.end = 0;
     work->arcs.first = 0;
@@ -1112,7 +1112,7 @@ static uint32_t groups_of(const zygos_joint_sums_t *sums)
 
 /* Solves the energy rows of the chosen blocks, weighs the motor rows beside them unless they have weights, and scales
    the sums of both. Returns their rank. */
-static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+static uint32_t with_motors(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     const uint32_t rank = begin(work, p);
     if ((work->arcs.first == work->arcs.end) || (rank == 0)) {
@@ -1133,9 +1133,9 @@ static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *ou
 /* Weighs the momentum rows of the chosen blocks unless they have a weight, by what the declared noise makes of a row of
    either kind at the solution so far, and scales the sums of all rows. Returns their rank. Rows of fewer than three
    arcs are left out, and without declared noise all. */
-static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
-    const zygos_momentum_sums_t *sums = &work->momentum_sums;
+    const zygos_momentum_sums_t *sums = work->momentum_sums;
     if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_MIN_ARCS)) {
         work->momenta.end = work->momenta.first;
         return rank;
@@ -1171,9 +1171,9 @@ static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zyg
    residual of the joint rows: first as declared at the solution so far, then as it is at the solution with them. Scales
    the sums of all rows. Returns their rank. Where parts of the arcs are chosen they are left out, for the groups belong
    to the whole run. */
-static uint32_t with_joints(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
-    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const zygos_joint_sums_t *sums = work->joint_sums;
     if ((rank == 0) || (work->joints_used == 0) || (sums->width == 0) || (groups_of(sums) < ZYGOS_MIN_GROUPS)) {
         return rank;
     }
@@ -1210,7 +1210,7 @@ static uint32_t with_joints(zygos_work_t *work, uint32_t p, uint32_t rank, zygos
 }
 
 /* Weighs all rows of the chosen blocks, and scales their sums. Returns their rank. */
-static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+static uint32_t combine(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     if (work->joints_alone) {
         return begin(work, p);
@@ -1219,9 +1219,9 @@ static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 }
 
 /* The same of the joint rows: by the sums of each joint's residuals in a segment. */
-static double cluster_of_joints(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
+static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
 {
-    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const zygos_joint_sums_t *sums = work->joint_sums;
     const double apart = form(sums->apart.gram, work->solution, p);
     const double squares = (sums->apart_sums > 0.0) ? apart / sums->apart_sums : 0.0;
     /* Each sum is divided by the root of twice its number of rows. */
@@ -1232,7 +1232,7 @@ static double cluster_of_joints(const zygos_work_t *work, uint32_t p, const zygo
 
 /* Whether the residuals of the chosen energy rows are noise: see ZYGOS_CLUSTER_LIMIT. Writes residual, noise_ratio and
    cluster. */
-static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+static bool closes(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     double explained = 0.0;
     double share = 0.0;
@@ -1248,14 +1248,14 @@ static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 }
 
 /* Solves the blocks from the given one on, with which an arc begins. */
-static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
+static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t first)
 {
-    const zygos_accumulator_t *sums = &work->accumulator;
+    const zygos_accumulator_t *sums = work->accumulator;
     const uint32_t p = work->column_map.parameters;
     const uint32_t effects = work->column_map.reduced;
     double before = 0.0;
     memset(out, 0, sizeof *out);
-    memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
+    memcpy(out->left_out, work->guard->left_out, sizeof out->left_out);
     for (uint32_t b = 0; b < first; b++) {
         before += zygos_accumulator_at(sums, b)->instants;
         out->left_out[ZYGOS_ENERGY_ROWS] +=
@@ -1265,17 +1265,17 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     out->refused = sums->refused;
     out->parameters = p;
     out->accepted = sums->accepted - (uint64_t)(before + 0.5);
-    out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->guard.left_out[ZYGOS_ENERGY_ROWS]);
+    out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->guard->left_out[ZYGOS_ENERGY_ROWS]);
     out->blocks = sums->open - first;
-    if (zygos_joint_sums_suffice(&work->config)) {
-        out->accepted = work->joint_sums.accepted;
-        out->refused = work->joint_sums.refused;
-        out->arcs = (uint32_t)work->joint_sums.segments;
-        out->blocks = groups_of(&work->joint_sums);
+    if (zygos_joint_sums_suffice(work->config)) {
+        out->accepted = work->joint_sums->accepted;
+        out->refused = work->joint_sums->refused;
+        out->arcs = (uint32_t)work->joint_sums->segments;
+        out->blocks = groups_of(work->joint_sums);
     }
     out->since = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->end : 0u;
-    out->consecutive = work->guard.consecutive[ZYGOS_ENERGY_ROWS];
-    const bool joints = zygos_joint_sums_suffice(&work->config);
+    out->consecutive = work->guard->consecutive[ZYGOS_ENERGY_ROWS];
+    const bool joints = zygos_joint_sums_suffice(work->config);
     if (joints) {
         choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     } else {
@@ -1370,7 +1370,7 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     } else if (!closed) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
-    } else if (work->guard.changed != 0) {
+    } else if (work->guard->changed != 0) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_CHANGED;
     } else if (out->noise_ratio < ZYGOS_NOISE_ABSENT) {
@@ -1423,18 +1423,33 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
-int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
+/* What the solver needs beside the sums lies in the buffers and in the noise of the open arc, which are empty when all
+   arcs have ended, and are empty again behind it. */
+static void borrow(zygos_solver_t *work)
 {
-    if ((work == NULL) || (out == NULL)) {
-        return ZYGOS_E_NULL;
+    zygos_accumulator_t *sums = work->accumulator;
+    zygos_balance_column_map(work->config, &work->column_map);
+    work->total = sums->buffer[0].gram;
+    work->noise = sums->buffer[1].gram;
+    work->matrix = sums->buffer[2].gram;
+    work->factor = sums->noise_open[0].gram;
+}
+
+static void give_back(zygos_solver_t *work)
+{
+    zygos_accumulator_t *sums = work->accumulator;
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        memset(sums->buffer[b].gram, 0, sizeof sums->buffer[b].gram);
     }
-    const zygos_accumulator_t *sums = &work->accumulator;
-    if (!zygos_work_intact(work)) {
-        memset(out, 0, sizeof *out);
-        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
-    }
+    memset(sums->noise_open[0].gram, 0, sizeof sums->noise_open[0].gram);
+}
+
+/* Repeats the solution without old arcs where they may be bad. */
+static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
+{
+    const zygos_accumulator_t *sums = work->accumulator;
     int answer = solve_from(work, out, 0);
-    if ((work->guard.adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out)) {
+    if ((work->guard->adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out)) {
         return answer;
     }
     const double ratio = out->noise_ratio;
@@ -1456,8 +1471,44 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     return answer;
 }
 
+int zygos_solver_solve(zygos_solver_t *self, zygos_estimate_t *out)
+{
+    borrow(self);
+    const int answer = solve_well(self, out);
+    give_back(self);
+    return answer;
+}
+
+int zygos_solver_refuse(zygos_estimate_t *out)
+{
+    memset(out, 0, sizeof *out);
+    return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
+}
+
+/* The sums are those of the copy. */
+static zygos_solver_t *solver_of(zygos_work_t *work)
+{
+    zygos_solver_t *solver = &work->solver;
+    solver->accumulator = &work->accumulator;
+    solver->motor_sums = &work->motor_sums;
+    solver->momentum_sums = &work->momentum_sums;
+    solver->joint_sums = &work->joint_sums;
+    solver->guard = &work->guard;
+    solver->config = &work->config;
+    solver->cycle = work->cycle;
+    return solver;
+}
+
+int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
+{
+    if ((work == NULL) || (out == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    return zygos_work_intact(work) ? zygos_solver_solve(solver_of(work), out) : zygos_solver_refuse(out);
+}
+
 /* Solves the chosen blocks by themselves. Returns false where they determine no solution. */
-static bool solve_chosen(zygos_work_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
+static bool solve_chosen(zygos_solver_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
 {
     *rank = combine(work, p, scratch);
     if (*rank == 0) {
@@ -1474,7 +1525,7 @@ typedef struct {
     double ratio;
 } reference_t;
 
-static reference_t reference_of(const zygos_work_t *work, uint32_t p)
+static reference_t reference_of(const zygos_solver_t *work, uint32_t p)
 {
     double explained = 0.0;
     const double left = energy_left(work, p, work->solution, &explained);
@@ -1484,13 +1535,13 @@ static reference_t reference_of(const zygos_work_t *work, uint32_t p)
 
 /* Whether the residuals of the chosen blocks with their own solution are no larger than those of the reference.
    Otherwise another arm does not explain these blocks either. */
-static bool explains(const zygos_work_t *work, uint32_t p, const reference_t *reference)
+static bool explains(const zygos_solver_t *work, uint32_t p, const reference_t *reference)
 {
     double explained = 0.0;
     const double left = energy_left(work, p, work->solution, &explained);
     const double by_noise = reference->ratio * explained;
     const double by_number = reference->residual * work->instants;
-    const double window = 2.0 * (double)work->config.smoother_half_width + 1.0;
+    const double window = 2.0 * (double)work->config->smoother_half_width + 1.0;
     const double most =
         zygos_guard_chi_square_limit(work->instants / window) * ((by_noise > by_number) ? by_noise : by_number);
     return left <= most + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * work->spread;
@@ -1498,7 +1549,7 @@ static bool explains(const zygos_work_t *work, uint32_t p, const reference_t *re
 
 /* Solves what was chosen, which is before the change, and writes the estimate from it. scaled: its inverse information.
    Returns false where it does not determine all parameters. */
-static bool solve_before(zygos_work_t *work, uint32_t p, zygos_estimate_t *out, double *scaled)
+static bool solve_before(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out, double *scaled)
 {
     uint32_t rank = 0;
     memset(work->weight, 0, sizeof work->weight);
@@ -1524,7 +1575,7 @@ static bool solve_before(zygos_work_t *work, uint32_t p, zygos_estimate_t *out, 
 }
 
 /* Compares what was chosen and solved with the estimate from before. */
-static void compare(zygos_work_t *work, uint32_t p, const zygos_estimate_t *out, const double *scaled,
+static void compare(zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, const double *scaled,
                     double *deviation)
 {
     inverse_diagonal(work, p, p, work->inverse);
@@ -1537,16 +1588,16 @@ static void compare(zygos_work_t *work, uint32_t p, const zygos_estimate_t *out,
 }
 
 /* Compares the segments of joint rows that were set aside with the groups of the estimate. */
-static int detect_in_joints(zygos_work_t *work, uint32_t p, zygos_estimate_t *out, double *deviation)
+static int detect_in_joints(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out, double *deviation)
 {
-    const uint32_t groups = groups_of(&work->joint_sums);
+    const uint32_t groups = groups_of(work->joint_sums);
     const uint32_t aside = (uint32_t)ZYGOS_SET_ASIDE;
     double scaled[ZYGOS_MAX_PARAMETERS];
     out->blocks = groups;
-    if ((groups < ZYGOS_MIN_GROUPS) || (work->guard.known == 0) || (work->guard.changed == 0)) {
+    if ((groups < ZYGOS_MIN_GROUPS) || (work->guard->known == 0) || (work->guard->changed == 0)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
-    out->cycle = work->guard.agreed;
+    out->cycle = work->guard->agreed;
     choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     if (!solve_before(work, p, out, scaled)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
@@ -1563,29 +1614,10 @@ static int detect_in_joints(zygos_work_t *work, uint32_t p, zygos_estimate_t *ou
     return solved ? 1 : 0;
 }
 
-int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
+/* Compares the newest blocks of energy rows with those before them. */
+static int detect_in_energy(zygos_solver_t *work, uint32_t p, bool guarded, zygos_estimate_t *out, double *deviation)
 {
-    if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    const zygos_accumulator_t *sums = &work->accumulator;
-    memset(out, 0, sizeof *out);
-    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
-        deviation[i] = not_a_number();
-    }
-    /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
-    const bool guarded = (work->guard.known != 0);
-    const bool joints = (work->config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->config);
-    const bool settled = zygos_work_settle(work);
-    work->guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
-    if (!settled || !zygos_work_intact(work)) {
-        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
-    }
-    const uint32_t p = work->column_map.parameters;
-    out->parameters = p;
-    if (joints) {
-        return detect_in_joints(work, p, out, deviation);
-    }
+    const zygos_accumulator_t *sums = work->accumulator;
     out->blocks = sums->newest;
     if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
@@ -1614,4 +1646,32 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
         compare(work, p, out, scaled, deviation);
     }
     return solved ? 1 : 0;
+}
+
+int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
+{
+    if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const zygos_accumulator_t *sums = &work->accumulator;
+    memset(out, 0, sizeof *out);
+    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
+        deviation[i] = not_a_number();
+    }
+    /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
+    const bool guarded = (work->guard.known != 0);
+    const bool joints = (work->config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->config);
+    const bool settled = zygos_work_settle(work);
+    work->guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
+    if (!settled || !zygos_work_intact(work)) {
+        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
+    }
+    zygos_solver_t *solver = solver_of(work);
+    borrow(solver);
+    const uint32_t p = solver->column_map.parameters;
+    out->parameters = p;
+    const int answer = joints ? detect_in_joints(solver, p, out, deviation)
+                              : detect_in_energy(solver, p, guarded, out, deviation);
+    give_back(solver);
+    return answer;
 }

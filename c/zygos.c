@@ -819,6 +819,39 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     return 1;
 }
 
+int zygos_end_arcs(zygos_t *self)
+{
+    if (self == NULL) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->magic != MAGIC) {
+        return ZYGOS_E_ORDER;
+    }
+    if (!is_steady(self) || !is_intact(self)) {
+        return ZYGOS_E_STATE;
+    }
+    const zygos_config_t *config = &self->config;
+    settle(self);
+    if (config->arc_cycles > 0) {
+        end_arc(self, self->cycle);
+        zygos_balance_new_arc(&self->balance);
+    }
+    if (config->impulse_arc_cycles > 0) {
+        end_joint_arc(self, self->cycle);
+        zygos_impulse_new_arc(&self->impulse);
+    }
+    if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
+        end_momentum_arc(self, self->cycle);
+        zygos_momentum_new_arc(&self->momentum);
+    }
+    zygos_joint_sums_flush(&self->joint_sums, config);
+    zygos_guard_end_joints(&self->guard, config, &self->joint_sums, self->cycle, &self->joints_forgetting);
+    zygos_joint_sums_flush(&self->joint_sums, config);
+    settle_sums(self);
+    self->moving = moving_of(self);
+    return 1;
+}
+
 void zygos_take(const zygos_t *self, zygos_work_t *work)
 {
     if ((self == NULL) || (work == NULL)) {

@@ -134,26 +134,22 @@ typedef struct {
                                          ///< value. Positive semi-definite among those that have one.
 } zygos_estimate_t;
 
-/// A copy of the sums, and scratch memory of the solver. It is filled by zygos_take() and consumed by zygos_solve(). It
-/// belongs to the task that solves; its members are not for reading.
+/// Where the solver finds the sums, and what it remembers in between. Its four triangles lie in memory of the accumulator
+/// that is free when all arcs have ended: total, noise, matrix and factor. It belongs to the task that solves; its
+/// members are not for reading.
 typedef struct {
-    zygos_accumulator_t accumulator;
-    zygos_motor_sums_t motor_sums;
-    zygos_momentum_sums_t momentum_sums;
-    zygos_joint_sums_t joint_sums;
-    zygos_guard_t guard;
-    double joints_forgetting;
-    uint64_t cycle;
-    uint32_t arc;    ///< Number of instants in the open arc of the energy rows.
-    uint32_t ending; ///< Kinds of rows, as bits, whose open arc has ended and waits (zygos.h).
-    uint64_t ended;  ///< The newest cycle of these arcs.
-    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors.
-    zygos_config_t config;
+    zygos_accumulator_t *accumulator;
+    zygos_motor_sums_t *motor_sums;
+    zygos_momentum_sums_t *momentum_sums;
+    zygos_joint_sums_t *joint_sums;
+    const zygos_guard_t *guard;
+    const zygos_config_t *config;
+    double *total;  ///< Sums of all rows, weighted, without their noise.
+    double *noise;  ///< The noise that was subtracted.
+    double *matrix; ///< The scaled equations.
+    double *factor; ///< Their Cholesky factor.
+    uint64_t cycle; ///< The newest cycle in the sums.
     zygos_column_map_t column_map;
-    double total[ZYGOS_MAX_PACKED_ROW]; ///< Sums of all rows, weighted, without their noise.
-    double noise[ZYGOS_MAX_PACKED_ROW]; ///< The noise that was subtracted.
-    double matrix[ZYGOS_MAX_PACKED];
-    double factor[ZYGOS_MAX_PACKED];
     double scale[ZYGOS_MAX_PARAMETERS];
     double right_side[ZYGOS_MAX_PARAMETERS];
     double solution[ZYGOS_MAX_PARAMETERS];
@@ -182,6 +178,25 @@ typedef struct {
     double noise_fraction;   ///< Their share of the noise of all closed arcs.
     double noise_scale;      ///< Share of the declared noise that is subtracted.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
+} zygos_solver_t;
+
+/// A copy of the sums, and scratch memory of the solver. It is filled by zygos_take() and consumed by zygos_solve(). It
+/// belongs to the task that solves; its members are not for reading.
+typedef struct {
+    zygos_accumulator_t accumulator;
+    zygos_motor_sums_t motor_sums;
+    zygos_momentum_sums_t momentum_sums;
+    zygos_joint_sums_t joint_sums;
+    zygos_guard_t guard;
+    double joints_forgetting;
+    uint64_t cycle;
+    uint32_t arc;    ///< Number of instants in the open arc of the energy rows.
+    uint32_t ending; ///< Kinds of rows, as bits, whose open arc has ended and waits (zygos.h).
+    uint64_t ended;  ///< The newest cycle of these arcs.
+    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors.
+    zygos_config_t config;
+    zygos_column_map_t column_map;
+    zygos_solver_t solver;
 } zygos_work_t;
 
 /// Solves the normal equations in *work, which is changed, and writes *out. If zygos_adopt() is in use, and the
@@ -191,6 +206,13 @@ typedef struct {
 /// factorisations of order p, or up to four times as many if it is repeated. Returns 1 when there are values, 0 when
 /// validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
+
+/// The parts of zygos_solve_in_place(): whether the sums match, the solution, and the estimate where they do
+/// not. They need the members of *self from accumulator to config, and cycle, and that all arcs have ended. The triangles
+/// are free and empty before and afterwards. Cost: as zygos_work_intact() and zygos_solve().
+bool zygos_solver_matches(const zygos_solver_t *self);
+int zygos_solver_solve(zygos_solver_t *self, zygos_estimate_t *out);
+int zygos_solver_refuse(zygos_estimate_t *out);
 
 /// Finishes the tasks that proceed beside the cycles (accumulator.h). Returns false when a count, an index or a closing
 /// arc is not as it was accumulated. zygos_work_intact() does this first. Cost: a few passes over the sums of an arc.

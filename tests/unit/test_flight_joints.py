@@ -339,11 +339,11 @@ def test_the_scale_of_the_groups_takes_a_degree_of_freedom() -> None:
     flight = Flight(known.arm)
     flight.cycles(known.cycles())
     p = len(flight.estimate().value)
-    assert flight._work.joints_alone
-    first, second = (np.array(list(row)[:p]) for row in flight._work.information)
+    assert flight._work.solver.joints_alone
+    first, second = (np.array(list(row)[:p]) for row in flight._work.solver.information)
     expected = np.maximum(first**2 / second - 1.0, 2.0)
     assert (expected > 2.0).sum() >= 3
-    np.testing.assert_allclose(list(flight._work.degrees_of_freedom)[:p], expected, rtol=1e-12)
+    np.testing.assert_allclose(list(flight._work.solver.degrees_of_freedom)[:p], expected, rtol=1e-12)
 
 
 def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -> None:
@@ -355,7 +355,7 @@ def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -
     work = flight._work
     columns, p = work.column_map, work.column_map.parameters
     assert columns.kinetic < columns.body < p == columns.count
-    size, solution = np.array(list(work.size)[:p]), np.abs(list(work.solution)[:p])
+    size, solution = np.array(list(work.solver.size)[:p]), np.abs(list(work.solver.solution)[:p])
     moments, behind = slice(columns.kinetic, columns.body), slice(columns.body, p)
     np.testing.assert_array_equal(size[moments], solution[moments].max())
     np.testing.assert_array_equal(size[behind], solution[behind])
@@ -489,7 +489,7 @@ def test_an_estimate_with_joint_rows_beside_energy_rows(example: str) -> None:
     assert [room.name for room in rooms if not room.equal] == []
     assert {"joint rows", "solution"} <= {room.name for room in rooms}
     estimate = flight.estimate()
-    assert flight._work.joints_weight > 0.0
+    assert flight._work.solver.joints_weight > 0.0
     assert (estimate.validity, estimate.reason) == ("valid", "")
     off = np.abs(estimate.value - model.base_values(arm)) / estimate.half95
     # chance leaves 5 % outside of their intervals

@@ -337,7 +337,7 @@ def test_c_equals_numpy_with_momentum_rows_of_an_arm_that_lacks_a_parameter(whic
     assert {"noise", "sigmas", "solution"} <= {room.name for room in rooms}
     estimate = flight.estimate()
     assert (estimate.validity, estimate.left_out) == ("valid", (0, 0, 0))
-    assert flight._work.momentum_weight > 0.0
+    assert flight._work.solver.momentum_weight > 0.0
     contradiction = list(flight.native.guard.contradiction)
     assert all(0.0 < one < 0.5 for one in contradiction)
     assert (np.abs(estimate.value - plant.base_values(arm)) < 2.0 * estimate.half95).all()
@@ -351,7 +351,7 @@ def test_a_bad_arc_of_momentum_rows_is_left_out(motion: Trajectory) -> None:
         cycles = seen(motion, seed)
         good = watched(arm, cycles).flight
         assert good.estimate().validity == "valid" and good.estimate().left_out == (0, 0, 0)
-        assert good._work.momentum_weight > 0.0
+        assert good._work.solver.momentum_weight > 0.0
         faulty = stuck("omega", SOON, 300)(cycles)
         watch = watched(arm, faulty)
         estimate = watch.flight.estimate()

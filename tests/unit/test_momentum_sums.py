@@ -372,7 +372,7 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     factors = [sum(block.instants for block in blocks) / sum(block.square for block in blocks)] * len(parts)
     for b in range(sums.count):
         own = np.zeros((p + 1, p + 1))
-        own[np.ix_(places, places)] = work.momentum_weight * matrix(sums.block[b].rows.gram, sums.columns)
+        own[np.ix_(places, places)] = work.solver.momentum_weight * matrix(sums.block[b].rows.gram, sums.columns)
         parts.append(own)
         factors.append(1.0)
     assert sums.count == 8

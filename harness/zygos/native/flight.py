@@ -512,12 +512,17 @@ class Flight:
                 f"arm {self.arm.name!r} has no motor rows that could be kept; remedy: [arc] impulse_max_s above 0"
             )
 
+    def _total(self) -> NDArray[np.float64]:
+        """Sums of all closed energy rows [columns, work, 1], (p+2, p+2)."""
+        sums = self._closed()
+        packed = ffi.new("double[]", sums.width * (sums.width + 1) // 2)
+        lib.zygos_accumulator_total(sums, packed)
+        return _symmetric(packed, sums.width)
+
     def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """A (p, p) and b (p,) with the arc constants eliminated and the declared noise taken off."""
-        sums = self._closed()
-        lib.zygos_accumulator_total(sums, self._work.total)
-        p = sums.width - 2
-        full = _symmetric(self._work.total, sums.width)
+        full = self._total()
+        p = len(full) - 2
         return full[:p, :p].copy(), full[p, :p].copy()
 
     def unexplained(self, result: Estimate) -> float:
@@ -525,13 +530,11 @@ class Flight:
         solved, of the impulses' mean square. NaN without work."""
         lib.zygos_take(self.native, self._work)
         lib.zygos_solve(self._work, self._estimate)
-        if self._work.joints_alone:
-            whole = float(self._work.spread)
-            return result.residual**2 * float(self._work.instants) / whole if whole > 0.0 else float("nan")
-        sums = self._closed()
-        lib.zygos_accumulator_total(sums, self._work.total)
-        p = sums.width - 2
-        spread = float(_symmetric(self._work.total, sums.width)[p, p])
+        if self._work.solver.joints_alone:
+            whole = float(self._work.solver.spread)
+            return result.residual**2 * float(self._work.solver.instants) / whole if whole > 0.0 else float("nan")
+        full = self._total()
+        spread = float(full[-2, -2])
         return result.residual**2 * result.accepted / spread if spread > 0.0 else float("nan")
 
     def noise(self) -> NDArray[np.float64]:

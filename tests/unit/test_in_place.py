@@ -1,0 +1,193 @@
+"""zygos_solve_in_place(): the same estimate as from a copy, and a state that flies on as if its arcs had ended."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import EXAMPLE
+from flight_support import part
+from motion_support import random_ground
+
+from zygos.arm import Arm, load_arm
+from zygos.model.model import load_model
+from zygos.native.flight import REASONS, Flight, ffi, lib
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
+
+KINDS = ("planar", "spatial", "ground")
+
+
+@cache
+def run(kind: str) -> tuple[Arm, Cycles]:
+    """Rows of every kind, in arcs of which several are closed and one is open; joint rows on the ground."""
+    if kind == "ground":
+        known = random_ground(3, "spatial", 6000)
+        return known.arm, known.cycles(0)
+    folder = EXAMPLE if kind == "planar" else EXAMPLE.parent / "spatial"
+    arm = load_arm(folder / "arm.toml")
+    arm = replace(arm, arc_max_s=6.0, impulse_arc_s=2.0, momentum_max_s=4.0)
+    scenario = replace(load_scenario(folder / "scenario.toml"), duration_s=50.0 if kind == "planar" else 20.0)
+    return arm, simulate(arm, load_model(folder / "model.toml"), scenario, seeds=[0], noise=True).cycles(0)
+
+
+@cache
+def flown(kind: str, cycles: int) -> bytes:
+    arm, motion = run(kind)
+    flight = Flight(arm)
+    flight.cycles(part(motion, 0, cycles))
+    return bytes(ffi.buffer(flight.native))
+
+
+def again(kind: str, cycles: int | None = None) -> Flight:
+    arm, motion = run(kind)
+    flight = Flight(arm)
+    ffi.memmove(flight.native, flown(kind, cycles or len(motion)), ffi.sizeof("zygos_t"))
+    return flight
+
+
+def in_place(flight: Flight) -> tuple[int, Any]:
+    solver, out = ffi.new("zygos_solver_t *"), ffi.new("zygos_estimate_t *")
+    return int(lib.zygos_solve_in_place(flight.native, solver, out)), out
+
+
+def memory(flight: Flight) -> bytes:
+    return bytes(ffi.buffer(flight.native))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("left", [0, 7, 100])
+def test_the_estimate_is_that_of_a_copy(kind: str, left: int) -> None:
+    """Also where cycles wait in buffers, and where an arc is closing."""
+    flight = again(kind, len(run(kind)[1]) - left)
+    copied = flight.estimate()
+    answer, out = in_place(flight)
+    p = len(flight.names)
+    assert answer == 1
+    assert copied.validity != "refused"
+    for name in ("value", "sigma", "half95", "solution"):
+        np.testing.assert_allclose(list(getattr(out, name))[:p], getattr(copied, name), rtol=1e-9, err_msg=name)
+    assert (out.cycle, out.accepted, out.refused, out.blocks, out.rank) == (
+        copied.cycle,
+        copied.accepted,
+        copied.refused,
+        copied.blocks,
+        copied.rank,
+    )
+    assert REASONS[out.reason] == copied.reason
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_leaves_what_the_end_of_the_arcs_leaves(kind: str) -> None:
+    """Not a byte of what the solver borrows is left, so that the next rows are added to empty buffers."""
+    solved, ended = again(kind), again(kind)
+    assert in_place(solved)[0] == 1
+    assert lib.zygos_end_arcs(ended.native) == 1
+    native = ended.native
+    lib.zygos_accumulator_apply_fade(ffi.addressof(native, "accumulator"))
+    lib.zygos_motor_sums_apply_fade(ffi.addressof(native, "motor_sums"))
+    lib.zygos_momentum_sums_apply_fade(ffi.addressof(native, "momentum_sums"))
+    assert memory(solved) == memory(ended)
+    sums = solved.native.accumulator
+    assert sums.count == sums.fresh == sums.open
+    assert lib.zygos_end_arcs(ended.native) == 1  # nothing is open
+    assert memory(solved) == memory(ended)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_flight_goes_on(kind: str) -> None:
+    """Ending the arcs in between loses their constants and no more: the estimates agree within their intervals."""
+    motion = run(kind)[1]
+    half = len(motion) // 2
+    flight, straight = again(kind, half), again(kind)
+    assert in_place(flight)[0] == 1
+    flight.cycles(part(motion, half, len(motion)))
+    assert lib.zygos_scrub(flight.native, ffi.new("zygos_config_t *", flight.native.config)) == 0
+    answer, out = in_place(flight)
+    whole = straight.estimate()
+    assert answer == 1
+    assert whole.accepted - 20 < out.accepted <= whole.accepted  # the last arc may be too short to be of use
+    p = len(flight.names)
+    known = np.isfinite(whole.value) & np.isfinite(list(out.value)[:p])
+    assert known.sum() >= 0.8 * p
+    off = (np.array(list(out.value)[:p]) - whole.value)[known] / whole.half95[known]
+    assert np.abs(off).max() < 1.0
+
+
+def test_forgetting_is_that_of_arcs_that_end() -> None:
+    arm, motion = run("planar")
+    flights = [Flight(arm), Flight(arm)]
+    for flight in flights:
+        config = ffi.new("zygos_config_t *", flight.native.config)
+        config.forgetting_factor = 0.999
+        assert lib.zygos_init(flight.native, config) == 1
+        flight.cycles(part(motion, 0, 700))
+    answer, out = in_place(flights[0])
+    assert answer == 1
+    assert lib.zygos_end_arcs(flights[1].native) == 1
+    copied = flights[1].estimate()
+    p = len(flights[0].names)
+    np.testing.assert_allclose(list(out.value)[:p], copied.value, rtol=1e-9)
+    np.testing.assert_allclose(list(out.sigma)[:p], copied.sigma, rtol=1e-9)
+
+
+def test_the_guard_leaves_an_arc_out_as_when_it_ends() -> None:
+    arm, motion = run("planar")
+    flight = again("planar", 700)
+    assert flight.estimate().validity == "valid"
+    assert flight.adopt()
+    wrong = part(motion, 700, 800)
+    flight.cycles(replace(wrong, tau=3.0 * wrong.tau))
+    left_out = flight.native.guard.left_out[0]
+    answer, out = in_place(flight)
+    assert answer == 1
+    assert out.left_out[0] == flight.native.guard.left_out[0] > left_out
+    assert lib.zygos_adopt(flight.native, out) == 1
+
+
+def test_misuse_is_refused() -> None:
+    flight = again("planar")
+    solver, out = ffi.new("zygos_solver_t *"), ffi.new("zygos_estimate_t *")
+    for arguments in ((ffi.NULL, solver, out), (flight.native, ffi.NULL, out), (flight.native, solver, ffi.NULL)):
+        assert lib.zygos_solve_in_place(*arguments) == lib.ZYGOS_E_NULL
+    assert lib.zygos_end_arcs(ffi.NULL) == lib.ZYGOS_E_NULL
+    assert lib.zygos_solve_in_place(ffi.new("zygos_t *"), solver, out) == lib.ZYGOS_E_ORDER
+    flight.native.accumulator.count ^= 1 << 20
+    before = memory(flight)
+    assert lib.zygos_end_arcs(flight.native) == lib.ZYGOS_E_STATE
+    assert in_place(flight)[0] == lib.ZYGOS_E_STATE
+    assert memory(flight) == before
+
+
+def test_too_little_data_is_said() -> None:
+    flight = Flight(run("planar")[0])
+    answer, out = in_place(flight)
+    assert (answer, out.validity, REASONS[out.reason]) == (0, lib.ZYGOS_REFUSED, REASONS[lib.ZYGOS_REASON_NO_DATA])
+    assert np.isnan(list(out.value)[: len(flight.names)]).all()
+
+
+def test_changed_memory_is_noticed_and_scrubbed() -> None:
+    flight = again("planar")
+    config = ffi.new("zygos_config_t *", flight.native.config)
+    sums = flight.native.accumulator
+    sums.block[sums.order[0]].gram[3] *= 1.5
+    answer, out = in_place(flight)
+    assert (answer, REASONS[out.reason]) == (0, REASONS[lib.ZYGOS_REASON_CORRUPT])
+    assert lib.zygos_scrub(flight.native, config) == lib.ZYGOS_SCRUBBED_BLOCKS
+    answer, out = in_place(flight)
+    assert answer == 1
+    assert out.validity == lib.ZYGOS_VALID
+
+
+def test_an_open_arc_that_does_not_match_is_dropped_and_the_others_are_solved() -> None:
+    flight = again("planar", 800)
+    sums = flight.native.accumulator
+    sums.block[sums.order[sums.count - 1]].gram[3] += 1e3
+    answer, out = in_place(flight)
+    assert answer == 1
+    assert sums.quarantined == 1
+    assert out.validity == lib.ZYGOS_VALID
