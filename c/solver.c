@@ -421,6 +421,19 @@ static double enlargement(const zygos_solver_t *work, uint32_t p, const double *
     return ((own > 0.0) && (whole > own)) ? whole / own : 1.0;
 }
 
+/* The factor in use and the other one change places, each with the order of its rows. */
+static void exchange_factors(zygos_solver_t *work, uint32_t p)
+{
+    double *factor = work->factor;
+    work->factor = work->other_factor;
+    work->other_factor = factor;
+    for (uint32_t i = 0; i < p; i++) {
+        const uint32_t pivot = work->pivot[i];
+        work->pivot[i] = work->other_pivot[i];
+        work->other_pivot[i] = pivot;
+    }
+}
+
 /* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
    their weights. Each variance is the product of the change without a block and of the block's own influence, which is
    right on average; but a matrix of such products need not be positive semi-definite. The correlations are therefore
@@ -439,13 +452,23 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     double instants = 0.0;
     double square = 0.0;
     bool once = false;
+    for (uint32_t b = 0; b < energy_blocks; b++) {
+        const zygos_block_t *block = zygos_accumulator_at(energy_sums, work->blocks.first + b);
+        instants += block->instants;
+        square += block->square;
+    }
     memset(work->information, 0, sizeof work->information);
+    memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    memset(work->product, 0, sizeof work->product);
+    memset(work->linearised_variance, 0, sizeof work->linearised_variance);
+    scaled_equations(work, p, NULL, work->noise_scale);
+    (void)factorise(work, p, rank);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
-        if (b < energy_blocks) {
-            const zygos_block_t *block = zygos_accumulator_at(energy_sums, work->blocks.first + b);
+        const bool energy = (b < energy_blocks);
+        const zygos_block_t *block = energy ? zygos_accumulator_at(energy_sums, work->blocks.first + b) : NULL;
+        exchange_factors(work, p);
+        if (energy) {
             scaled_equations(work, p, block, work->noise_scale);
-            instants += block->instants;
-            square += block->square;
         } else if (b >= arcs) {
             scaled_without_group(work, p, b - arcs);
         } else if (b >= energy_and_motors) {
@@ -454,25 +477,18 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
             scaled_without_arc(work, p, &arc[b - energy_blocks]);
         }
         once = (factorise(work, p, rank) < rank);
-        solve_once(work, p, rank, work->leave_one_out[b]);
+        solve_once(work, p, rank, work->without);
         inverse_diagonal(work, p, rank, work->right_side);
         for (uint32_t i = 0; i < p; i++) {
             const double gain = work->right_side[i] - work->inverse[i];
             const double share = (gain > 0.0) ? gain : 0.0;
-            work->leave_one_out[b][i] = work->solution[i] - work->leave_one_out[b][i];
+            work->without[i] = work->solution[i] - work->without[i];
             work->information[0][i] += share;
             work->information[1][i] += share * share;
         }
-    }
-    memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
-    memset(work->product, 0, sizeof work->product);
-    memset(work->linearised_variance, 0, sizeof work->linearised_variance);
-    scaled_equations(work, p, NULL, work->noise_scale);
-    (void)factorise(work, p, rank);
-    for (uint32_t b = 0; (b < blocks) && !once; b++) {
-        const bool energy = (b < energy_blocks);
+        exchange_factors(work, p);
         if (energy) {
-            score(work, p, zygos_accumulator_at(energy_sums, work->blocks.first + b), work->right_side);
+            score(work, p, block, work->right_side);
         } else if (b >= arcs) {
             score_of_group(work, p, b - arcs, work->right_side);
         } else if (b >= energy_and_motors) {
@@ -482,14 +498,19 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
         }
         const double factor = energy ? instants / square : 1.0;
         solve_once(work, p, rank, work->linearised);
-        const double enlarged = factor * enlargement(work, p, work->leave_one_out[b]);
+        const double enlarged = factor * enlargement(work, p, work->without);
         for (uint32_t i = 0; i < p; i++) {
-            work->product[i] += factor * work->leave_one_out[b][i] * work->linearised[i];
+            work->product[i] += factor * work->without[i] * work->linearised[i];
             work->linearised_variance[i] += factor * work->linearised[i] * work->linearised[i];
             for (uint32_t j = 0; j <= i; j++) {
                 covariance[at(i, j)] += enlarged * work->linearised[i] * work->linearised[j];
             }
         }
+    }
+    if (once) {
+        memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+        memset(work->product, 0, sizeof work->product);
+        memset(work->linearised_variance, 0, sizeof work->linearised_variance);
     }
     for (uint32_t i = 0; i < p; i++) {
         const double several = work->information[0][i] * work->information[0][i];
@@ -964,7 +985,7 @@ static void withhold_imprecise(zygos_solver_t *work, bool full, zygos_estimate_t
         imprecise = imprecise || !is_precise(work, out, i, ZYGOS_SIGMA_LIMIT);
     }
     if (imprecise && full) {
-        double *without = work->leave_one_out[0];
+        double *without = work->without;
         scaled_equations(work, p, NULL, work->noise_scale);
         for (uint32_t i = 0; i < effects; i++) {
             if (is_precise(work, out, i, ZYGOS_SIGMA_LIMIT)) {
@@ -1333,9 +1354,9 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     shift_by_noise(work, p, noise);
     if (noisy) {
         /* The error by the noise that could not be subtracted. */
-        (void)solve_with(work, p, rank, 0.0, work->leave_one_out[0]);
+        (void)solve_with(work, p, rank, 0.0, work->without);
         for (uint32_t i = 0; i < p; i++) {
-            const double shift = work->leave_one_out[0][i] - work->solution[i];
+            const double shift = work->without[i] - work->solution[i];
             work->noise_shift[i] = root(work->noise_shift[i] * work->noise_shift[i] + shift * shift);
         }
     }
@@ -1423,7 +1444,7 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
-/* What the solver needs beside the sums lies in the buffers and in the noise of the open arc, which are empty when all
+/* What the solver needs beside the sums lies in the buffers and in the noise of open arcs, which are empty when all
    arcs have ended, and are empty again behind it. */
 static void borrow(zygos_solver_t *work)
 {
@@ -1433,6 +1454,7 @@ static void borrow(zygos_solver_t *work)
     work->noise = sums->buffer[1].gram;
     work->matrix = sums->buffer[2].gram;
     work->factor = sums->noise_open[0].gram;
+    work->other_factor = sums->noise_open[1].gram;
 }
 
 static void give_back(zygos_solver_t *work)
@@ -1441,7 +1463,9 @@ static void give_back(zygos_solver_t *work)
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         memset(sums->buffer[b].gram, 0, sizeof sums->buffer[b].gram);
     }
-    memset(sums->noise_open[0].gram, 0, sizeof sums->noise_open[0].gram);
+    for (uint32_t n = 0; n < 2u; n++) {
+        memset(sums->noise_open[n].gram, 0, sizeof sums->noise_open[n].gram);
+    }
 }
 
 /* Repeats the solution without old arcs where they may be bad. */

@@ -62,12 +62,15 @@ def compiler(target: str) -> list[str]:
     return ["arm-none-eabi-gcc", *TARGETS[target].flags, "-ffreestanding", *HOUSE, "-Werror", *INCLUDES]
 
 
-def build(target: str, elf: Path, sources: Sequence[Path], flags: Sequence[str] = ()) -> Path:
-    """Write an image for m7 or m4f. Returns elf. Errors: CalledProcessError, the compiler's text on stderr."""
+def build(target: str, elf: Path, sources: Sequence[Path], flags: Sequence[str] = (), board: str = "") -> Path:
+    """Write an image for m7 or m4f. Returns elf. Errors: CalledProcessError, the compiler's text on stderr.
+
+    board: another linker script of the port than that of the machine.
+    """
     elf.parent.mkdir(parents=True, exist_ok=True)
     soft = TARGETS[target].soft
     rooms = [*ROOMS, *([PORT / "addition.c"] if soft else [])]
-    link = [*LINK.split(), f"-L{PORT}", f"-Wl,-T,{TARGETS[target].machine}.ld", "-lm"]
+    link = [*LINK.split(), f"-L{PORT}", f"-Wl,-T,{board or TARGETS[target].machine}.ld", "-lm"]
     link += [f"-Wl,--wrap={name}" for name in ADDITION if soft]
     command = [*compiler(target), *flags, *map(str, [*rooms, *sources]), *link, "-o", str(elf)]
     subprocess.run(command, check=True)

@@ -134,8 +134,8 @@ typedef struct {
                                          ///< value. Positive semi-definite among those that have one.
 } zygos_estimate_t;
 
-/// Where the solver finds the sums, and what it remembers in between. Its four triangles lie in memory of the accumulator
-/// that is free when all arcs have ended: total, noise, matrix and factor. It belongs to the task that solves; its
+/// Where the solver finds the sums, and what it remembers in between. Its five triangles lie in memory of the accumulator
+/// that is free when all arcs have ended. It belongs to the task that solves; its
 /// members are not for reading.
 typedef struct {
     zygos_accumulator_t *accumulator;
@@ -148,6 +148,7 @@ typedef struct {
     double *noise;  ///< The noise that was subtracted.
     double *matrix; ///< The scaled equations.
     double *factor; ///< Their Cholesky factor.
+    double *other_factor;
     uint64_t cycle; ///< The newest cycle in the sums.
     zygos_column_map_t column_map;
     double scale[ZYGOS_MAX_PARAMETERS];
@@ -156,8 +157,7 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double noise_shift[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES + ZYGOS_GROUP_PLACES]
-                        [ZYGOS_MAX_PARAMETERS];
+    double without[ZYGOS_MAX_PARAMETERS]; ///< Solution without one block, then its difference.
     double weight[ZYGOS_MAX_JOINTS];      ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;               ///< Weight of the momentum rows.
     double joints_weight;                 ///< Weight of the joint rows.
@@ -177,7 +177,8 @@ typedef struct {
     double instants;         ///< Accepted instants in the blocks of energy rows.
     double noise_fraction;   ///< Their share of the noise of all closed arcs.
     double noise_scale;      ///< Share of the declared noise that is subtracted.
-    uint32_t pivot[ZYGOS_MAX_PARAMETERS];
+    uint32_t pivot[ZYGOS_MAX_PARAMETERS]; ///< Which column each row of factor is of.
+    uint32_t other_pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_solver_t;
 
 /// A copy of the sums, and scratch memory of the solver. It is filled by zygos_take() and consumed by zygos_solve(). It

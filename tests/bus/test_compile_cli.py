@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -174,19 +175,30 @@ def test_memory_is_told_before_anything_is_flashed(tmp_path: Path, capsys: pytes
     answer, said = json.loads(out.read_text()), capsys.readouterr().out
     assert set(answer["capacities"]) - set(answer["least_build"]) == {"ZYGOS_MAX_PARAMETERS"}
     assert answer["least_build"]["ZYGOS_MAX_BLOCKS"] == 32
-    flags = [f"-D{name}={value}" for name, value in answer["least_build"].items()]
+    assert answer["in_place_build"]["ZYGOS_MAX_BLOCKS"] == 12
+    need(shutil.which("gcc"), "gcc: the memory of a build stays unchecked")
+    text = (tmp_path / "arm_config.h").read_text()
+    for build, listed, line, struct in (
+        ("least_build", "bytes", "The smallest build that holds it", "work"),
+        ("in_place_build", "in_place_bytes", "With the fewest blocks", "solver"),
+    ):
+        flags = [f"-D{name}={value}" for name, value in answer[build].items()]
+        found = _bytes_of(tmp_path, flags, struct)
+        assert list(answer[listed].values()) == found
+        assert f"// {line}: {' '.join(flags)}\n" in text
+        assert f"t takes {sum(found):,} bytes: configuration {found[0]:,}, state {found[1]:,}, {struct} " in text
+        assert f"{sum(found):,}" in said
+
+
+def _bytes_of(folder: Path, flags: Sequence[str], struct: str) -> list[int]:
+    """What a compiler makes of configuration, state, work or solver, and estimate."""
     program = (
         '#include "zygos/zygos.h"\n#include <stdio.h>\n'
         'int main(void) { printf("%d %d %d %d", (int)sizeof(zygos_config_t), '
-        "(int)sizeof(zygos_t), (int)sizeof(zygos_work_t), (int)sizeof(zygos_estimate_t)); return 0; }\n"
+        f"(int)sizeof(zygos_t), (int)sizeof(zygos_{struct}_t), (int)sizeof(zygos_estimate_t)); return 0; }}\n"
     )
-    (tmp_path / "sizes.c").write_text(program)
-    command = ["gcc", "-std=c11", *flags, f"-I{ROOT / 'include'}", str(tmp_path / "sizes.c")]
-    need(shutil.which("gcc"), "gcc: the memory of a build stays unchecked")
-    subprocess.run([*command, str(ROOT / "c" / "capacities.c"), "-o", str(tmp_path / "sizes")], check=True)
-    found = [int(word) for word in subprocess.run([tmp_path / "sizes"], capture_output=True, check=True).stdout.split()]
-    assert list(answer["bytes"].values()) == found
-    text = (tmp_path / "arm_config.h").read_text()
-    assert f"// The smallest build that holds it: {' '.join(flags)}\n" in text
-    assert f"// It takes {sum(found):,} bytes: configuration {found[0]:,}, state {found[1]:,}, " in text
-    assert f"{sum(found):,}" in said
+    (folder / "sizes.c").write_text(program)
+    command = ["gcc", "-std=c11", *flags, f"-I{ROOT / 'include'}", str(folder / "sizes.c")]
+    subprocess.run([*command, str(ROOT / "c" / "capacities.c"), "-o", str(folder / "sizes")], check=True)
+    done = subprocess.run([folder / "sizes"], capture_output=True, check=True)
+    return [int(word) for word in done.stdout.split()]

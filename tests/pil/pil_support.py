@@ -136,10 +136,11 @@ def capacities(builds: Path, build: Build) -> Iterator[None]:
         yield
 
 
-def on_host(config: Any, sections: Sequence[Section]) -> list[Record]:
-    """What bulk.c does, by the library in use."""
+def on_host(config: Any, sections: Sequence[Section], in_place: bool = False) -> list[Record]:
+    """What bulk.c does, by the library in use. in_place: the estimate is solved without a copy of the sums."""
     ffi, lib = flight.ffi, flight.lib
     arm = ffi.new("zygos_t *")
+    solver = ffi.new("zygos_solver_t *")
     work, estimate = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *")
     records: list[Record] = []
 
@@ -167,27 +168,37 @@ def on_host(config: Any, sections: Sequence[Section]) -> list[Record]:
         elif section.kind == IMAGE:
             add("image", ffi.buffer(arm))
         elif section.kind == ESTIMATE:
-            lib.zygos_take(arm, work)
-            lib.zygos_solve(work, estimate)
+            if in_place:
+                lib.zygos_solve_in_place(arm, solver, estimate)
+            else:
+                lib.zygos_take(arm, work)
+                lib.zygos_solve(work, estimate)
             add("estimate", ffi.buffer(estimate))
     return records
 
 
 @functools.cache
 def firmware(
-    folder: Path, target: str, program: str, build: Build, flags: tuple[str, ...] = (), drills: tuple[str, ...] = ()
+    folder: Path,
+    target: str,
+    program: str,
+    build: Build,
+    flags: tuple[str, ...] = (),
+    drills: tuple[str, ...] = (),
+    board: str = "",
 ) -> Path:
     """Build firmware whose main() is in PROGRAM.c, here or in c/ports/cortex-m, into folder, once a process.
 
-    drills: sources in this folder whose __wrap_ functions stand before those of the firmware.
+    drills: sources in this folder whose __wrap_ functions stand before those of the firmware. board: another linker
+    script than that of the machine.
     """
     own = HERE / f"{program}.c"
     sources = [own if own.exists() else PORT / own.name]
     own_sources = [HERE / f"{drill}.c" for drill in drills]
     names = {name for source in own_sources for name in re.findall(r"__wrap_(\w+)\(", source.read_text())}
     wrapped = [f"-Wl,--wrap={name}" for name in sorted(names)]
-    elf = folder / f"{target}-{build.name}-{program}-{abs(hash((flags, drills)))}.elf"
-    return build_firmware.build(target, elf, [*sources, *own_sources], [*build.defines, *flags, *wrapped])
+    elf = folder / f"{target}-{build.name}-{program}-{abs(hash((flags, drills, board)))}.elf"
+    return build_firmware.build(target, elf, [*sources, *own_sources], [*build.defines, *flags, *wrapped], board)
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,14 @@
        frames    count zygos_frame_t, each through zygos_frame(), then zygos_step() while cycles wait
        cycles    count zygos_cycle_t, each through zygos_cycle()
        image     nothing: zygos_t as it lies in memory
-       estimate  nothing: zygos_take() and zygos_solve()
+       estimate  nothing: zygos_take() and zygos_solve(), or, compiled with IN_PLACE=1, zygos_solve_in_place()
    out.bin: records, each of two uint32 (kind, bytes) and what follows:
        init      int32: what zygos_init() returned; when it refused, no section is processed
        verdicts  int8 for each frame or cycle of a section: what the call returned
        instant   for each cycle that was processed: its number, whether it has a row and was accepted, motion and row
        image, estimate
-       sizes     four uint32, at the end: bytes of zygos_t, zygos_work_t, zygos_estimate_t, and of stack used */
+       sizes     four uint32, at the end: bytes of zygos_t, zygos_work_t (or zygos_solver_t), zygos_estimate_t, and of
+                 stack used */
 
 #include "core.h"
 #include "semihosting.h"
@@ -32,8 +33,16 @@ typedef struct {
     zygos_row_t row;
 } instant_t;
 
+#ifndef IN_PLACE
+#define IN_PLACE 0
+#endif
+
 static zygos_t arm;
+#if IN_PLACE
+static zygos_solver_t work;
+#else
 static zygos_work_t work;
+#endif
 static zygos_estimate_t estimate;
 static zygos_config_t config;
 static instant_t instant;
@@ -96,6 +105,16 @@ static bool cycles(uint32_t count)
     return true;
 }
 
+static void solve(void)
+{
+#if IN_PLACE
+    (void)zygos_solve_in_place(&arm, &work, &estimate);
+#else
+    zygos_take(&arm, &work);
+    (void)zygos_solve(&work, &estimate);
+#endif
+}
+
 static enum status sections(void)
 {
     uint32_t head[2];
@@ -112,8 +131,7 @@ static enum status sections(void)
             put(MEMORY, &arm, sizeof arm);
             break;
         case ESTIMATE:
-            zygos_take(&arm, &work);
-            zygos_solve(&work, &estimate);
+            solve();
             put(SOLVED, &estimate, sizeof estimate);
             break;
         default:

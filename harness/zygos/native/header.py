@@ -21,8 +21,8 @@ _ENUMS = {
 
 _BLOCKS = 32
 """With fewer blocks, `zygos_detect_change()` does not always find enough of them before the newest arc."""
-_FEWEST_BLOCKS, _FEWEST_MOTOR_BLOCKS = 12, 4
-"""The least of a build, where these rows are not used."""
+_FEWEST = {"ZYGOS_MAX_BLOCKS": 12, "ZYGOS_MAX_MOTOR_BLOCKS": 4, "ZYGOS_MAX_MOMENTUM_BLOCKS": 4}
+"""The least of a build."""
 _COUNTED = {"joint": "joints", "effect": "effects", "reduction": "reductions"}
 """Arrays of which only so many entries are in use."""
 
@@ -45,11 +45,10 @@ def least_build(config: Any) -> dict[str, int]:
     """The capacities of the smallest build that holds a ``zygos_config_t`` and has every function, by macro; the
     others are the defaults."""
     needs = capacities(config)
-    needs["ZYGOS_MAX_BLOCKS"] = (
-        _FEWEST_BLOCKS if library.lib.zygos_joint_sums_suffice(library.ffi.addressof(config)) else _BLOCKS
-    )
+    alone = library.lib.zygos_joint_sums_suffice(library.ffi.addressof(config))
+    needs["ZYGOS_MAX_BLOCKS"] = _FEWEST["ZYGOS_MAX_BLOCKS"] if alone else _BLOCKS
     if config.impulse_arc_cycles == 0:
-        needs["ZYGOS_MAX_MOTOR_BLOCKS"] = _FEWEST_MOTOR_BLOCKS
+        needs["ZYGOS_MAX_MOTOR_BLOCKS"] = _FEWEST["ZYGOS_MAX_MOTOR_BLOCKS"]
     parameters = needs["ZYGOS_MAX_PARAMETERS"]
     # Without a reduction the parameters are the columns, and a build takes the default; with one, at least 2 N + 3.
     needs["ZYGOS_MAX_PARAMETERS"] = max(parameters, 2 * needs["ZYGOS_MAX_JOINTS"] + 3)
@@ -59,6 +58,17 @@ def least_build(config: Any) -> dict[str, int]:
 def least_memory(config: Any) -> dict[str, int]:
     """Bytes of the structs in that build, by what they hold (`zygos.native.sizes.memory`)."""
     return memory(least_build(config))
+
+
+def in_place_build(config: Any) -> dict[str, int]:
+    """The same with the fewest blocks of all rows: what a flight computer needs that solves in place."""
+    needs = least_build(config) | _FEWEST
+    return {name: value for name, value in needs.items() if config.momentum_arc_cycles or "MOMENTUM_BLOCKS" not in name}
+
+
+def in_place_memory(config: Any) -> dict[str, int]:
+    """Bytes of the structs in that build, with the solver that solves in place and no copy of the sums."""
+    return memory(in_place_build(config), in_place=True)
 
 
 def _initialiser(value: Any, field: str) -> str:
@@ -103,7 +113,11 @@ def header(flight: Flight, source: str) -> str:
         if value > 0
     ]
     bytes_of = least_memory(config)
-    build = " ".join(f"-D{macro}={value}" for macro, value in least_build(config).items())
+    in_place = in_place_memory(config)
+    build, in_place_flags = (
+        " ".join(f"-D{macro}={value}" for macro, value in one.items())
+        for one in (least_build(config), in_place_build(config))
+    )
     version = library.lib.ZYGOS_VERSION_MAJOR_VALUE, library.lib.ZYGOS_VERSION_MINOR_VALUE
     return "\n".join(
         [
@@ -112,6 +126,11 @@ def header(flight: Flight, source: str) -> str:
             f"// The smallest build that holds it: {build}",
             f"// It takes {sum(bytes_of.values()):,} bytes: "
             + ", ".join(f"{what} {size:,}" for what, size in bytes_of.items())
+            + ".",
+            "//",
+            f"// With the fewest blocks: {in_place_flags}",
+            f"// Solved in place (zygos_solve_in_place()), it takes {sum(in_place.values()):,} bytes: "
+            + ", ".join(f"{what} {size:,}" for what, size in in_place.items())
             + ".",
             "",
             "#ifndef ARM_CONFIG_H",
