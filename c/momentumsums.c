@@ -93,9 +93,9 @@ static void fade_noise(zygos_momentum_sums_t *self, double factor)
 
 void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self)
 {
-    clear_gram(&ZYGOS_MOMENTUM_OPEN(self).rows, width_of(self));
+    clear_gram(&self->arc.rows, width_of(self));
     clear_gram(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns);
-    ZYGOS_MOMENTUM_OPEN(self).instants = 0.0;
+    self->arc.instants = 0.0;
     self->cycles = 0;
 }
 
@@ -107,9 +107,7 @@ static void begin_task(zygos_momentum_sums_t *self, uint32_t task)
 
 static void leave_closing_out(zygos_momentum_sums_t *self)
 {
-    clear_gram(&ZYGOS_MOMENTUM_CLOSING(self).rows, width_of(self));
     clear_gram(&ZYGOS_MOMENTUM_NOISE_CLOSING(self), self->columns);
-    ZYGOS_MOMENTUM_CLOSING(self).instants = 0.0;
     self->closing_cycles = 0;
     begin_task(self, ZYGOS_MOMENTUM_NONE);
 }
@@ -175,7 +173,7 @@ bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
     return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) &&
            (self->row <= width_of(self)) && (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
            (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
-           ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || !(ZYGOS_MOMENTUM_CLOSING(self).instants > 0.0));
+           ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->closing_cycles == 0));
 }
 
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
@@ -184,10 +182,11 @@ bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_c
     const bool none = (config->momentum_arc_cycles == 0);
     bool good = (self->columns == columns_of(config)) && (self->components == components_of(config)) &&
                 (self->signals == signals_of(config)) && (width_of(self) <= (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) &&
-                (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) && is_count(ZYGOS_MOMENTUM_OPEN(self).instants) &&
-                is_count(ZYGOS_MOMENTUM_CLOSING(self).instants) && zygos_momentum_sums_steady(self) &&
+                (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) && is_count(self->arc.instants) &&
+                ((self->closing_cycles == 0) || is_count(ZYGOS_MOMENTUM_CLOSING(self).instants)) &&
+                zygos_momentum_sums_steady(self) &&
                 is_factor(self->noise_fade) && (self->noise_fade > 0.0) &&
-                (none ? (self->count == 0) && !(ZYGOS_MOMENTUM_OPEN(self).instants > 0.0)
+                (none ? (self->count == 0) && !(self->arc.instants > 0.0)
                       : (self->target >= 1.0) && is_count(self->target));
     for (uint32_t b = 0; good && (b < self->count); b++) {
         good = is_count(self->block[b].instants) && is_factor(self->block[b].fade);
@@ -208,7 +207,7 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
     for (uint32_t k = 0; k < self->components; k++) {
         z[self->columns + k] = (k == component) ? weight : 0.0;
     }
-    zygos_gram_add(ZYGOS_MOMENTUM_OPEN(self).rows.gram, ZYGOS_MOMENTUM_OPEN(self).rows.sum, width_of(self), z);
+    zygos_gram_add(self->arc.rows.gram, self->arc.rows.sum, width_of(self), z);
     if (self->signals > 0) {
         const uint32_t signal = self->cycles / self->components % self->signals;
         zygos_momentum_derivative(momentum, config, motion, component, signal, z);
@@ -217,7 +216,7 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
         }
         zygos_gram_add(ZYGOS_MOMENTUM_NOISE_OPEN(self).gram, ZYGOS_MOMENTUM_NOISE_OPEN(self).sum, self->columns, z);
     }
-    ZYGOS_MOMENTUM_OPEN(self).instants += weight;
+    self->arc.instants += weight;
     self->cycles++;
 }
 
@@ -245,22 +244,28 @@ static double instants_of(const zygos_momentum_block_t *block)
 
 bool zygos_momentum_sums_is_short(const zygos_momentum_sums_t *self)
 {
-    return ZYGOS_MOMENTUM_OPEN(self).instants < (double)ZYGOS_MIN_ARC_INSTANTS;
+    return self->arc.instants < (double)ZYGOS_MIN_ARC_INSTANTS;
 }
 
 bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle)
 {
     if (zygos_momentum_sums_is_short(self)) {
-        if (ZYGOS_MOMENTUM_OPEN(self).instants > 0.0) { /* refused instants have added nothing */
+        if (self->arc.instants > 0.0) { /* refused instants have added nothing */
             zygos_momentum_sums_leave_out(self);
         }
         self->cycles = 0;
         return false;
     }
-    self->parity ^= 1u;
+    judge(self);
     zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
+    memcpy(closing->rows.gram, self->arc.rows.gram, zygos_gram_entries(width_of(self)) * sizeof closing->rows.gram[0]);
+    memcpy(closing->rows.sum, self->arc.rows.sum, width_of(self) * sizeof closing->rows.sum[0]);
+    closing->instants = self->arc.instants;
     closing->fade = 1.0;
     closing->end = cycle;
+    clear_gram(&self->arc.rows, width_of(self));
+    self->arc.instants = 0.0;
+    self->parity ^= 1u;
     self->closing_cycles = self->cycles;
     self->cycles = 0;
     self->admitted = 0;
@@ -396,43 +401,31 @@ static void begin_merge(zygos_momentum_sums_t *self)
     self->checksum = checksum_of(self);
 }
 
-/* Moves the closing arc to the next block and its noise to that of closed arcs, or leaves both out. */
+/* The closing arc becomes one of the closed ones, and its noise moves to theirs; or both are left out. */
 static void admit(zygos_momentum_sums_t *self)
 {
-    const uint32_t end = zygos_momentum_sums_part(self);
-    const uint32_t last = zygos_gram_entries(end);
-    const uint32_t inner = zygos_gram_entries(self->columns);
+    const uint32_t part = zygos_momentum_sums_part(self);
+    const uint32_t end = (part < self->columns) ? part : self->columns;
     const bool admitted = (self->admitted != 0);
     const double factor = (admitted ? 1.0 : 0.0) / self->noise_fade;
-    zygos_momentum_block_t *to = &self->block[(self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES) ? self->count : 0u];
-    zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
     zygos_momentum_gram_t *noise = &ZYGOS_MOMENTUM_NOISE_CLOSING(self);
-    for (uint32_t k = zygos_gram_entries(self->row); k < last; k++) {
-        to->rows.gram[k] = closing->rows.gram[k];
-        closing->rows.gram[k] = 0.0;
-    }
-    for (uint32_t k = zygos_gram_entries(self->row); (k < last) && (k < inner); k++) {
+    for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
         self->noise_closed.gram[k] += factor * noise->gram[k];
         noise->gram[k] = 0.0;
     }
     self->row = end;
-    if (end < width_of(self)) {
+    if (end < self->columns) {
         return;
     }
-    memcpy(to->rows.sum, closing->rows.sum, width_of(self) * sizeof to->rows.sum[0]);
-    memset(closing->rows.sum, 0, width_of(self) * sizeof to->rows.sum[0]);
     for (uint32_t i = 0; i < self->columns; i++) {
         self->noise_closed.sum[i] += factor * noise->sum[i];
         noise->sum[i] = 0.0;
     }
-    to->instants = closing->instants;
-    to->fade = 1.0;
-    to->end = closing->end;
-    to->checksum = checksum_of_block(to);
     judge(self);
+    zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
+    closing->checksum = checksum_of_block(closing);
     self->count += (admitted && (self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES)) ? 1u : 0u;
     self->checksum = checksum_of(self);
-    closing->instants = 0.0;
     self->closing_cycles = 0;
     begin_task(self, ZYGOS_MOMENTUM_NONE);
     if (self->count >= (uint32_t)ZYGOS_MOMENTUM_PLACES) {
@@ -637,8 +630,8 @@ double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
     if (!whole) {
         return 2.0;
     }
-    double worst = violation(&ZYGOS_MOMENTUM_OPEN(self).rows, width, ZYGOS_MOMENTUM_OPEN(self).instants);
-    const double open = violation(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns, ZYGOS_MOMENTUM_OPEN(self).instants);
+    double worst = violation(&self->arc.rows, width, self->arc.instants);
+    const double open = violation(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns, self->arc.instants);
     const double closed = violation(&self->noise_closed, self->columns, closed_instants(self));
     worst = (open > worst) ? open : worst;
     worst = (closed > worst) ? closed : worst;
@@ -661,7 +654,7 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
         (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || !is_factor(self->noise_fade) || !(self->noise_fade > 0.0)) {
         return false;
     }
-    const bool closing = (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (ZYGOS_MOMENTUM_CLOSING(self).instants > 0.0);
+    const bool closing = (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->closing_cycles > 0);
     if (closing || (self->row != 0)) {
         self->quarantined += closing ? 1u : 0u;
         leave_closing_out(self);
@@ -691,9 +684,9 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
     }
     self->count = to;
     self->checksum = checksum_of(self);
-    if (!is_count(ZYGOS_MOMENTUM_OPEN(self).instants) ||
-        !(violation(&ZYGOS_MOMENTUM_OPEN(self).rows, width_of(self), ZYGOS_MOMENTUM_OPEN(self).instants) <= 1.0) ||
-        !(violation(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns, ZYGOS_MOMENTUM_OPEN(self).instants) <= 1.0)) {
+    if (!is_count(self->arc.instants) ||
+        !(violation(&self->arc.rows, width_of(self), self->arc.instants) <= 1.0) ||
+        !(violation(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns, self->arc.instants) <= 1.0)) {
         self->quarantined++;
         zygos_momentum_sums_leave_out(self);
     }

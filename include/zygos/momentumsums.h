@@ -62,9 +62,9 @@ typedef struct {
 #define ZYGOS_MOMENTUM_SHIFT 7u        ///< Moves a block to the place before it.
 #define ZYGOS_MOMENTUM_TASKS 8u
 
-/// The open and the closing arc, and their noise.
-#define ZYGOS_MOMENTUM_OPEN(self) ((self)->arc[(self)->parity & 1u])
-#define ZYGOS_MOMENTUM_CLOSING(self) ((self)->arc[((self)->parity & 1u) ^ 1u])
+/// The closing arc, and the noise of the open and of the closing one.
+#define ZYGOS_MOMENTUM_CLOSING(self)                                                                                   \
+    ((self)->block[((self)->count < (uint32_t)ZYGOS_MOMENTUM_PLACES) ? (self)->count : 0u])
 #define ZYGOS_MOMENTUM_NOISE_OPEN(self) ((self)->noise_arc[(self)->parity & 1u])
 #define ZYGOS_MOMENTUM_NOISE_CLOSING(self) ((self)->noise_arc[((self)->parity & 1u) ^ 1u])
 
@@ -81,9 +81,9 @@ typedef struct {
     uint32_t row;         ///< The next row of the task.
     uint32_t place;       ///< The block that the task changes.
     uint32_t admitted;    ///< 1: the closing arc is admitted.
-    uint32_t parity;      ///< 0 or 1 in turn: which of arc and noise_arc is that of the open arc.
+    uint32_t parity;      ///< 0 or 1 in turn: which of noise_arc is that of the open arc.
     uint32_t reserved;
-    uint32_t closing_cycles;                ///< Instants of the closing arc, accepted or not.
+    uint32_t closing_cycles;                ///< Instants of the closing arc, accepted or not; 0 where none is closing.
     double target;                          ///< Instants up to which blocks are merged.
     double noise_fade;                      ///< Factor of noise_closed.
     uint64_t checksum;                      ///< Of count, target and noise_fade.
@@ -93,8 +93,8 @@ typedef struct {
                                             ///< the open one is without the rotors.
     zygos_momentum_gram_t noise_closed;     ///< Noise of closed arcs; reduced in proportion when one is dropped.
     zygos_gram_scan_t scan;                 ///< Row sums of what is verified.
-    zygos_momentum_block_t arc[2];          ///< The open arc and the closing one, which is 0 where none is closing.
-    zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES];
+    zygos_momentum_block_t arc;             ///< The open arc.
+    zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES]; ///< Those of closed arcs, and then the closing arc.
 } zygos_momentum_sums_t;
 
 /// Computes what follows from the configuration: columns, components, and the noise of an instant. The sums are not
@@ -107,7 +107,7 @@ void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config);
 
 /// Returns whether a cycle addresses nothing outside the struct, once the tables are verified, and no arc waits without
-/// a task: the open arc and the closing one have not changed places. Cost: five comparisons.
+/// a task. Cost: five comparisons.
 bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self);
 
 /// Clears the sums. Needs the tables.
@@ -124,8 +124,7 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
 bool zygos_momentum_sums_is_short(const zygos_momentum_sums_t *self);
 
 /// Ends the open arc, whose newest cycle is given: it is closing from then on, or dropped when it is too short, and
-/// then false is returned. Needs that no task is open, or that the arc is too short. Cost: a few instructions; of an
-/// arc that is too short, one pass over its sums.
+/// then false is returned. Needs that no task is open, or that the arc is too short. Cost: one copy of its sums.
 bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Proceeds with the task. ZYGOS_MOMENTUM_JUDGE is that of the caller, who ends it by the next function: this one does

@@ -17,7 +17,8 @@ from zygos.files.output import write_text
 ROW = re.compile(r"^(\| (\d) \| (\d) \| (\d+) \|).*$", re.M)
 """A row of the manual's table: joints, whether spatial, blocks."""
 STRUCTS = {
-    "arm": "zygos_t", "work": "zygos_work_t", "estimate": "zygos_estimate_t", "energy": "zygos_accumulator_t",
+    "arm": "zygos_t", "work": "zygos_work_t", "solver": "zygos_solver_t", "estimate": "zygos_estimate_t",
+    "energy": "zygos_accumulator_t",
     "motors": "zygos_motor_sums_t", "momentum": "zygos_momentum_sums_t", "joints": "zygos_joint_sums_t",
 }  # fmt: skip
 USUAL, LEAST = "usual capacities", "least capacities"
@@ -27,7 +28,7 @@ SMALLEST = (
 """The least numbers of blocks, no effects and no joint rows, which a free base with springs does not need."""
 PLANAR = ("MAX_JOINTS=2", "SPATIAL=0")
 BUILDS = (
-    ("2 joints in a plane", 42, PLANAR, (*SMALLEST, "MAX_PARAMETERS=12")),
+    ("2 joints in a plane", 42, PLANAR, (*SMALLEST, "MAX_PARAMETERS=12", "MOMENTUM=0", "MAX_HALF_WIDTH=6")),
     ("3 joints in space", 395, ("MAX_JOINTS=3",), SMALLEST),
     ("7 joints in space", 3400, ("MAX_JOINTS=7",), SMALLEST),
 )
@@ -53,19 +54,23 @@ def total(size: dict[str, int]) -> int:
     return size["arm"] + size["work"] + size["estimate"]
 
 
+def in_place(size: dict[str, int]) -> int:
+    """The same of a program that solves in place."""
+    return size["arm"] + size["solver"] + size["estimate"]
+
+
 def profile() -> str:
     """The table of where the bytes are, in kB."""
-    head = ["", "budget", "together", "energy rows", "motor rows", "momentum rows", "joint rows", "rest of the state",
-            "work beside its copy", "estimate"]  # fmt: skip
+    head = ["", "budget", "in place", "with a copy", "energy rows", "motor rows", "momentum rows", "joint rows",
+            "rest of the state", "solver", "estimate"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
     kinds = ("energy", "motors", "momentum", "joints")
     for title, budget, usual, least in BUILDS:
         for name, capacities in ((USUAL, usual), (LEAST, (*usual, *least))):
             size = sizes(*capacities)
-            copied = sum(size[kind] for kind in kinds)
-            cells = [size[kind] for kind in kinds]
-            cells = [total(size), *(2 * cell for cell in cells), size["arm"] - copied, size["work"] - copied]
-            shown = [f"{cell / 1000:,.0f}" for cell in [*cells, size["estimate"]]]
+            rows = [size[kind] for kind in kinds]
+            cells = [in_place(size), total(size), *rows, size["arm"] - sum(rows), size["solver"], size["estimate"]]
+            shown = [f"{cell / 1000:,.0f}" for cell in cells]
             lines.append(f"| {title}, {name} | {budget:,} | " + " | ".join(shown) + " |")
     return "\n".join(lines) + "\n"
 

@@ -104,7 +104,7 @@ def _fills(native: Any) -> None:
 
 
 def _open_momentum_rows(native: Any) -> None:
-    native.momentum_sums.arc[native.momentum_sums.parity].rows.gram[0] *= 2.0
+    native.momentum_sums.arc.rows.gram[0] *= 2.0
 
 
 CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {

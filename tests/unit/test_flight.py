@@ -760,7 +760,7 @@ SUMS: dict[str, Callable[[Any], Any]] = {
     "motor rows of a closed arc": lambda native: native.motor_sums.block[1].joint[1],
     "motor rows of the open arc": lambda native: native.motor_sums.open.joint[0],
     "momentum rows of a closed arc": lambda native: native.momentum_sums.block[1].rows,
-    "momentum rows of the open arc": lambda native: native.momentum_sums.arc[native.momentum_sums.parity].rows,
+    "momentum rows of the open arc": lambda native: native.momentum_sums.arc.rows,
     "noise of open momentum rows": lambda native: native.momentum_sums.noise_arc[native.momentum_sums.parity],
     "noise of closed momentum rows": lambda native: native.momentum_sums.noise_closed,
 }
