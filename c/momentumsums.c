@@ -27,6 +27,12 @@ static uint64_t checksum_of_block(const zygos_momentum_block_t *block)
     return zygos_checksum_number(zygos_checksum_doubles(1u, numbers, 2), block->end);
 }
 
+static void reseal(zygos_momentum_sums_t *self)
+{
+    self->checksum = checksum_of(self);
+    self->twin = ZYGOS_MOMENTUM_TWIN(self);
+}
+
 /* Flips a bit back where that explains the checksum. */
 static bool repair(zygos_momentum_sums_t *self)
 {
@@ -39,7 +45,7 @@ static bool repair(zygos_momentum_sums_t *self)
     memcpy(&self->target, &word[0], sizeof word[0]);
     memcpy(&self->noise_fade, &word[1], sizeof word[1]);
     self->count = (uint32_t)word[2];
-    self->checksum = checksum_of(self);
+    reseal(self);
     return true;
 }
 
@@ -109,6 +115,7 @@ static void leave_closing_out(zygos_momentum_sums_t *self)
 {
     clear_gram(&ZYGOS_MOMENTUM_NOISE_CLOSING(self), self->columns);
     self->closing_cycles = 0;
+    self->twin = ZYGOS_MOMENTUM_TWIN(self);
     begin_task(self, ZYGOS_MOMENTUM_NONE);
 }
 
@@ -119,7 +126,7 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
     self->corrupt = 0;
     self->quarantined = 0;
     self->noise_fade = 1.0;
-    self->checksum = checksum_of(self);
+    reseal(self);
     clear_gram(&self->noise_closed, self->columns);
     leave_closing_out(self);
     zygos_momentum_sums_leave_out(self);
@@ -173,7 +180,8 @@ bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
     return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) &&
            (self->row <= width_of(self)) && (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
            (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
-           ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->closing_cycles == 0));
+           ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->closing_cycles == 0)) &&
+           (self->twin == ZYGOS_MOMENTUM_TWIN(self));
 }
 
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
@@ -267,6 +275,7 @@ bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle)
     self->arc.instants = 0.0;
     self->parity ^= 1u;
     self->closing_cycles = self->cycles;
+    self->twin = ZYGOS_MOMENTUM_TWIN(self);
     self->cycles = 0;
     self->admitted = 0;
     memset(&self->scan, 0, sizeof self->scan);
@@ -388,7 +397,7 @@ static void begin_merge(zygos_momentum_sums_t *self)
     for (uint32_t tries = 0; (self->target < least) && (tries < 64u); tries++) {
         self->target *= 2.0;
     }
-    self->checksum = checksum_of(self);
+    reseal(self);
     for (uint32_t b = 0; b + 1u < self->count; b++) {
         if (instants_of(&self->block[b]) + instants_of(&self->block[b + 1u]) <= self->target) {
             self->place = b;
@@ -398,7 +407,7 @@ static void begin_merge(zygos_momentum_sums_t *self)
     }
     self->corrupt = 1; /* a changed target or number of instants */
     self->count = 0;
-    self->checksum = checksum_of(self);
+    reseal(self);
 }
 
 /* The closing arc becomes one of the closed ones, and its noise moves to theirs; or both are left out. */
@@ -425,8 +434,8 @@ static void admit(zygos_momentum_sums_t *self)
     zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
     closing->checksum = checksum_of_block(closing);
     self->count += (admitted && (self->count < (uint32_t)ZYGOS_MOMENTUM_PLACES)) ? 1u : 0u;
-    self->checksum = checksum_of(self);
     self->closing_cycles = 0;
+    reseal(self);
     begin_task(self, ZYGOS_MOMENTUM_NONE);
     if (self->count >= (uint32_t)ZYGOS_MOMENTUM_PLACES) {
         begin_merge(self);
@@ -463,7 +472,7 @@ static void shift(zygos_momentum_sums_t *self)
     if (self->place + 1u >= self->count) {
         judge(self);
         self->count -= (self->count > 0) ? 1u : 0u;
-        self->checksum = checksum_of(self);
+        reseal(self);
         begin_task(self, ZYGOS_MOMENTUM_NONE);
         self->place = 0;
         return;
@@ -549,7 +558,7 @@ void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor)
         left += instants_of(block);
     }
     fade_noise(self, (left > 0.0) ? factor : 0.0);
-    self->checksum = checksum_of(self);
+    reseal(self);
 }
 
 void zygos_momentum_sums_apply_fade(zygos_momentum_sums_t *self)
@@ -567,7 +576,7 @@ void zygos_momentum_sums_apply_fade(zygos_momentum_sums_t *self)
     }
     add_gram(&self->noise_closed, &self->noise_closed, self->noise_fade - 1.0, self->columns);
     self->noise_fade = 1.0;
-    self->checksum = checksum_of(self);
+    reseal(self);
 }
 
 static double closed_instants(const zygos_momentum_sums_t *self)
@@ -597,7 +606,7 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
     if (kept < before) {
         fade_noise(self, kept / before);
     }
-    self->checksum = checksum_of(self);
+    reseal(self);
 }
 
 uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle)
@@ -616,7 +625,7 @@ uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cy
     if (kept < before) {
         fade_noise(self, kept / before);
     }
-    self->checksum = checksum_of(self);
+    reseal(self);
     return drop;
 }
 
@@ -654,10 +663,14 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
         (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || !is_factor(self->noise_fade) || !(self->noise_fade > 0.0)) {
         return false;
     }
-    const bool closing = (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->closing_cycles > 0);
+    const bool moved = (self->twin != ZYGOS_MOMENTUM_TWIN(self)); /* the noise may be that of the other arc */
+    const bool closing = moved || (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->closing_cycles > 0);
     if (closing || (self->row != 0)) {
         self->quarantined += closing ? 1u : 0u;
         leave_closing_out(self);
+    }
+    if (moved) {
+        zygos_momentum_sums_leave_out(self);
     }
     self->place = 0;
     self->corrupt = 0;
@@ -683,7 +696,7 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
         fade_noise(self, (before > 0.0) ? after / before : 0.0);
     }
     self->count = to;
-    self->checksum = checksum_of(self);
+    reseal(self);
     if (!is_count(self->arc.instants) ||
         !(violation(&self->arc.rows, width_of(self), self->arc.instants) <= 1.0) ||
         !(violation(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns, self->arc.instants) <= 1.0)) {

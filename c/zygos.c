@@ -267,8 +267,7 @@ static uint64_t moving_of(const zygos_t *self)
     const uint32_t counts = self->arc ^ self->ending ^ self->smoother.position ^ self->smoother.filled ^
                             balance->instants ^ balance->origin ^ balance->torque_at ^ impulse->instants ^
                             impulse->origin ^ self->momentum.instants ^ self->momentum.origin ^
-                            self->motor_sums.cycles ^ self->momentum_sums.cycles ^ self->momentum_sums.count ^
-                            self->momentum_sums.parity ^ self->momentum_sums.closing_cycles;
+                            self->motor_sums.cycles ^ self->momentum_sums.cycles;
     uint64_t fold = folded(counts, &balance->work, FROM_TO(zygos_balance_t, work, dissipation_rate));
     if (config->impulse_arc_cycles > 0) {
         fold = folded(fold, impulse->impulse, FROM_TO(zygos_impulse_t, impulse, past));

@@ -82,7 +82,7 @@ typedef struct {
     uint32_t place;       ///< The block that the task changes.
     uint32_t admitted;    ///< 1: the closing arc is admitted.
     uint32_t parity;      ///< 0 or 1 in turn: which of noise_arc is that of the open arc.
-    uint32_t reserved;
+    uint32_t twin;        ///< ZYGOS_MOMENTUM_TWIN, with which each cycle compares the members in it.
     uint32_t closing_cycles;                ///< Instants of the closing arc, accepted or not; 0 where none is closing.
     double target;                          ///< Instants up to which blocks are merged.
     double noise_fade;                      ///< Factor of noise_closed.
@@ -97,6 +97,9 @@ typedef struct {
     zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES]; ///< Those of closed arcs, and then the closing arc.
 } zygos_momentum_sums_t;
 
+/// The members that tell where the closing arc is, in one number.
+#define ZYGOS_MOMENTUM_TWIN(self) ((self)->count ^ (self)->parity ^ (self)->closing_cycles)
+
 /// Computes what follows from the configuration: columns, components, and the noise of an instant. The sums are not
 /// changed. Needs a checked configuration.
 void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_t *config,
@@ -106,8 +109,8 @@ void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_
 /// do not check it. Cost: a comparison for each block.
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config);
 
-/// Returns whether a cycle addresses nothing outside the struct, once the tables are verified, and no arc waits without
-/// a task. Cost: five comparisons.
+/// Returns whether a cycle addresses nothing outside the struct, once the tables are verified, and the closing arc is
+/// where it was. Cost: five comparisons.
 bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self);
 
 /// Clears the sums. Needs the tables.

@@ -195,7 +195,7 @@ def test_corrupt_sums_are_refused(where: str) -> None:
     flight.cycles(wandering(arm, 290))
     sums = sums_of(flight)
     rows = {
-        "open": sums.arc[sums.parity].rows,
+        "open": sums.arc.rows,
         "block": sums.block[1].rows,
         "noise_open": sums.noise_arc[sums.parity],
         "noise_closed": sums.noise_closed,
