@@ -36,12 +36,12 @@ extern "C" {
 #endif
 
 /// The number of blocks into which the normal equations are divided; the standard deviations are computed from the
-/// scatter of the blocks. It must be even.
+/// scatter of the blocks.
 #ifndef ZYGOS_MAX_BLOCKS
 #define ZYGOS_MAX_BLOCKS 32
 #endif
-#if (ZYGOS_MAX_BLOCKS < 12) || (ZYGOS_MAX_BLOCKS > 128) || (ZYGOS_MAX_BLOCKS % 2 != 0)
-#error "ZYGOS_MAX_BLOCKS must be even, 12..128"
+#if (ZYGOS_MAX_BLOCKS < 11) || (ZYGOS_MAX_BLOCKS > 128)
+#error "ZYGOS_MAX_BLOCKS must be 11..128"
 #endif
 
 /// The length of an array of places of blocks: whole words of eight bytes.

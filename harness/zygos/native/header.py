@@ -21,7 +21,7 @@ _ENUMS = {
 
 _BLOCKS = 32
 """With fewer blocks, `zygos_detect_change()` does not always find enough of them before the newest arc."""
-_FEWEST_BLOCKS, _FEWEST_MOTOR_BLOCKS = 12, 4
+_FEWEST_BLOCKS, _FEWEST_MOTOR_BLOCKS = 11, 4
 """The least of a build, where these rows are not used."""
 _COUNTED = {"joint": "joints", "effect": "effects", "reduction": "reductions"}
 """Arrays of which only so many entries are in use."""
