@@ -209,17 +209,15 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
 
 static void clear_noise(zygos_noise_sums_t *noise, uint32_t width)
 {
-    memset(noise->gram, 0, zygos_gram_entries(width) * sizeof noise->gram[0]);
-    memset(noise->sum, 0, width * sizeof noise->sum[0]);
+    const uint32_t rows = width - 1u;
+    memset(noise->gram, 0, zygos_gram_entries(rows) * sizeof noise->gram[0]);
+    memset(noise->sum, 0, rows * sizeof noise->sum[0]);
 }
 
 static void clear_buffer(zygos_accumulator_t *self, zygos_row_buffer_t *buffer)
 {
     memset(buffer->gram, 0, zygos_gram_entries(self->width) * sizeof buffer->gram[0]);
     memset(buffer->sum, 0, self->width * sizeof buffer->sum[0]);
-    if (self->noisy != 0) {
-        clear_noise(&buffer->noise, self->width);
-    }
     buffer->instants = 0.0;
     buffer->shared = ZYGOS_BUFFER_ROWS;
 }
@@ -651,16 +649,18 @@ static void proceed_admit(zygos_accumulator_t *self)
 {
     zygos_noise_sums_t *open = &self->noise_open[self->parity ^ 1u];
     const double factor = ((self->admitted != 0) ? 1.0 : 0.0) / self->noise_fade;
+    const uint32_t rows = self->width - 1u;
     if ((self->noisy != 0) && (self->row < self->width)) {
         const uint32_t end = zygos_accumulator_part(self);
-        for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
+        const uint32_t last = (end < rows) ? end : rows;
+        for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(last); k++) {
             self->noise_closed.gram[k] += factor * open->gram[k];
             open->gram[k] = 0.0;
         }
         self->row = end;
         return;
     }
-    for (uint32_t i = 0; i < self->width; i++) {
+    for (uint32_t i = 0; i < rows; i++) {
         self->noise_closed.sum[i] += factor * open->sum[i];
         open->sum[i] = 0.0;
     }
@@ -751,21 +751,6 @@ static void move(double *restrict buffer, double *restrict falling, double *rest
     }
 }
 
-/* The same less the noise, which moves to that of the arc. */
-static void move_with_noise(double *restrict buffer, double *restrict noise, double *restrict open,
-                            double *restrict falling, double *restrict rising, double early, double late,
-                            uint32_t count)
-{
-    for (uint32_t k = 0; k < count; k++) {
-        const double signal = buffer[k] - noise[k];
-        falling[k] += early * signal;
-        rising[k] += late * signal;
-        open[k] += noise[k];
-        buffer[k] = 0.0;
-        noise[k] = 0.0;
-    }
-}
-
 /* Adds the next slices of a buffer to its blocks. */
 static void add_slices(zygos_accumulator_t *self, zygos_row_buffer_t *buffer, uint32_t slices)
 {
@@ -775,17 +760,9 @@ static void add_slices(zygos_accumulator_t *self, zygos_row_buffer_t *buffer, ui
     const uint32_t row = buffer->shared * sums;
     zygos_block_t *falling = at(self, first_of(buffer->places));
     zygos_block_t *rising = at(self, second_of(buffer->places));
-    if (self->noisy != 0) {
-        zygos_noise_sums_t *open = &self->noise_open[buffer->parity];
-        move_with_noise(&buffer->gram[entry], &buffer->noise.gram[entry], &open->gram[entry], &falling->gram[entry],
-                        &rising->gram[entry], buffer->early, buffer->late, slices * entries);
-        move_with_noise(&buffer->sum[row], &buffer->noise.sum[row], &open->sum[row], &falling->sum[row],
-                        &rising->sum[row], buffer->early, buffer->late, slices * sums);
-    } else {
-        move(&buffer->gram[entry], &falling->gram[entry], &rising->gram[entry], buffer->early, buffer->late,
-             slices * entries);
-        move(&buffer->sum[row], &falling->sum[row], &rising->sum[row], buffer->early, buffer->late, slices * sums);
-    }
+    move(&buffer->gram[entry], &falling->gram[entry], &rising->gram[entry], buffer->early, buffer->late,
+         slices * entries);
+    move(&buffer->sum[row], &falling->sum[row], &rising->sum[row], buffer->early, buffer->late, slices * sums);
     buffer->shared += slices;
 }
 
@@ -1154,10 +1131,11 @@ void zygos_accumulator_apply_fade(zygos_accumulator_t *self)
         block->fade = 1.0;
         seal(block, self->width, whole);
     }
-    for (uint32_t k = 0; (k < zygos_gram_entries(self->width)) && (self->noise_fade < 1.0); k++) {
+    const uint32_t rows = self->width - 1u;
+    for (uint32_t k = 0; (k < zygos_gram_entries(rows)) && (self->noise_fade < 1.0); k++) {
         self->noise_closed.gram[k] *= self->noise_fade;
     }
-    for (uint32_t i = 0; (i < self->width) && (self->noise_fade < 1.0); i++) {
+    for (uint32_t i = 0; (i < rows) && (self->noise_fade < 1.0); i++) {
         self->noise_closed.sum[i] *= self->noise_fade;
     }
     self->noise_fade = 1.0;
@@ -1213,9 +1191,7 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
     }
     const double adds = (double)self->accepted;
     for (uint32_t b = 0; whole && (b < ZYGOS_ROW_BUFFERS); b++) {
-        const zygos_noise_sums_t *noise = &self->buffer[b].noise;
-        whole =
-            is_count(self->buffer[b].instants) && (zygos_gram_check(noise->gram, width - 1u, noise->sum, adds) <= 1.0);
+        whole = is_count(self->buffer[b].instants);
     }
     for (uint32_t n = 0; whole && (n < 2u); n++) {
         const zygos_noise_sums_t *noise = &self->noise_open[n];

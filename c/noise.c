@@ -53,16 +53,6 @@ static uint64_t seal_of(const zygos_column_list_t *list)
     return seal;
 }
 
-/* Whether both lists are those that were made. */
-static bool are_whole(const zygos_column_list_t *one, const zygos_column_list_t *other)
-{
-    uint64_t off = one->seal ^ other->seal;
-    for (uint32_t w = 0; w < (uint32_t)ZYGOS_LIST_WORDS; w++) {
-        off ^= word_of(one, w) ^ word_of(other, w);
-    }
-    return off == 0;
-}
-
 /* Kinetic columns that are not zero. */
 static void put_products(zygos_column_list_t *list, const zygos_config_t *config, const zygos_column_map_t *column_map,
                          const double (*x)[3], const double (*y)[3], double *column)
@@ -170,15 +160,47 @@ static void sort(zygos_column_list_t *list)
     list->seal = seal_of(list);
 }
 
+/* Puts a place into a sorted list, which may have it. */
+static void insert(zygos_column_list_t *list, uint32_t place)
+{
+    uint32_t k = 0;
+    while ((k < list->count) && (list->place[k] != place)) {
+        k++;
+    }
+    if (k == list->count) {
+        put(list, place);
+        sort(list);
+    }
+}
+
+/* Sorts, with the places of another list. */
+static void join(zygos_column_list_t *list, const zygos_column_list_t *other)
+{
+    sort(list);
+    for (uint32_t k = 0; k < other->count; k++) {
+        insert(list, other->place[k]);
+    }
+}
+
+/* Makes pairs of neighbours, such as add() needs. A column that is put into the list for that contains no noise. */
+static void pair(zygos_column_list_t *list, const zygos_column_map_t *column_map)
+{
+    for (uint32_t k = 0; k < list->count; k += 2u) {
+        if (list->place[k] < column_map->count) {
+            insert(list, list->place[k] + 1u);
+        }
+    }
+}
+
 static void find_places(zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map)
 {
     const uint32_t n = config->joints;
     const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
     for (uint32_t i = 0; i < n; i++) {
-        zygos_column_list_t *angle[2] = { &self->angle[i], &self->angle[n + i] };
-        zygos_column_list_t *rate[2] = { &self->rate[i], &self->rate[n + i] };
-        put_bodies(angle[0], rate[0], config, column_map, i);
-        put_rotors(rate[0], column_map, n, i + 1u);
+        zygos_column_list_t *angle[2] = { &self->signal[i], &self->signal[n + i] };
+        zygos_column_list_t rate[2] = { { 0 } };
+        put_bodies(angle[0], &rate[0], config, column_map, i);
+        put_rotors(&rate[0], column_map, n, i + 1u);
         put_rotors(angle[0], column_map, n, space ? i + 1u : n);
         put_spring(angle[0], config, column_map, i);
         /* One sensor speaks for both sides of a rigid joint. */
@@ -187,23 +209,17 @@ static void find_places(zygos_noise_t *self, const zygos_config_t *config, const
             put_spring(angle[1], config, column_map, i);
         }
         put(angle[motor], column_map->count);
-        put_motor(rate[motor], config, column_map, i);
-    }
-    for (uint32_t s = 0; s < 2u * n; s++) {
-        sort(&self->rate[s]);
-        const bool late = (self->factor[s][1] > 0.0) || (self->factor[s][1] < 0.0);
-        for (uint32_t k = 0; late && (k < self->rate[s].count); k++) {
-            if (self->angle[s].count <= (uint32_t)ZYGOS_MAX_COLUMNS) {
-                put(&self->angle[s], self->rate[s].place[k]);
-                sort(&self->angle[s]);
-            }
+        put_motor(&rate[motor], config, column_map, i);
+        for (uint32_t k = 0; k < 2; k++) {
+            join(angle[k], &rate[k]);
+            pair(angle[k], column_map);
         }
-        sort(&self->angle[s]);
     }
     zygos_column_list_t none = { 0 };
     put_bodies(&none, &self->gyro, config, column_map, n);
     put_rotors(&self->gyro, column_map, n, 0);
     sort(&self->gyro);
+    pair(&self->gyro, column_map);
 }
 
 void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
@@ -316,83 +332,126 @@ void zygos_noise_means(const zygos_noise_t *self, const zygos_config_t *config, 
     }
 }
 
-static double *line_of(double *packed, uint32_t place)
+/* Adds to entries of two neighbours, and subtracts it from those of the rows. */
+static inline void add_two(double *restrict gram, double *restrict rows, double first, double second)
 {
-    return &packed[place * (place + 1u) / 2u];
+    gram[0] += first;
+    gram[1] += second;
+    rows[0] -= first;
+    rows[1] -= second;
 }
 
-/* The same of the parameters: where a column may count for several, all of them change. */
-static void add_reduced(const zygos_config_t *config, const zygos_column_map_t *column_map,
-                        const zygos_column_list_t *list, const double *x, double *packed, double *sum)
+static inline void add_one(double *restrict gram, double *restrict rows, double entry)
+{
+    *gram += entry;
+    *rows -= entry;
+}
+
+/* target += x x^T + y y^T at those places, two rows and two columns at a time: places ascend in pairs of neighbours,
+   and the last one may be alone. */
+static void add(const uint8_t *place, uint32_t count, const double *x, const double *y,
+                const zygos_noise_target_t *target)
+{
+    double total_x = 0.0;
+    double total_y = 0.0;
+    for (uint32_t i = 0; i < count; i++) {
+        total_x += x[i];
+        total_y += y[i];
+    }
+    for (uint32_t i = 0; i < count; i++) {
+        add_one(&target->sum[place[i]], &target->row_sum[place[i]], x[i] * total_x + y[i] * total_y);
+    }
+    uint32_t i = 0;
+    for (; i + 1u < count; i += 2u) {
+        const uint32_t row = place[i];
+        double *gram = &target->gram[zygos_gram_entries(row)];
+        double *rows = &target->rows[zygos_gram_entries(row)];
+        double *gram_below = gram + row + 1u;
+        double *rows_below = rows + row + 1u;
+        const double upper_x = x[i];
+        const double lower_x = x[i + 1u];
+        const double upper_y = y[i];
+        const double lower_y = y[i + 1u];
+        const uint8_t *column = place;
+        const double *v = y;
+        for (const double *u = x; u != x + i; u += 2) {
+            const double above[2] = { upper_x * u[0] + upper_y * v[0], upper_x * u[1] + upper_y * v[1] };
+            const double below[2] = { lower_x * u[0] + lower_y * v[0], lower_x * u[1] + lower_y * v[1] };
+            const size_t at = *column;
+            add_two(&gram[at], &rows[at], above[0], above[1]);
+            add_two(&gram_below[at], &rows_below[at], below[0], below[1]);
+            v += 2;
+            column += 2;
+        }
+        add_one(&gram[row], &rows[row], upper_x * upper_x + upper_y * upper_y);
+        add_two(&gram_below[row], &rows_below[row], lower_x * upper_x + lower_y * upper_y,
+                lower_x * lower_x + lower_y * lower_y);
+    }
+    for (uint32_t j = 0; (i < count) && (j <= i); j++) {
+        const uint32_t entry = zygos_gram_entries(place[i]) + place[j];
+        add_one(&target->gram[entry], &target->rows[entry], x[i] * x[j] + y[i] * y[j]);
+    }
+}
+
+/* The columns of a list as parameters, with the work behind them. */
+static void reduce(const zygos_config_t *config, const zygos_column_map_t *column_map, const zygos_column_list_t *list,
+                   const double *x, double *z)
 {
     double columns[ZYGOS_MAX_COLUMNS + 1] = { 0.0 };
-    double z[ZYGOS_MAX_PARAMETERS + 1];
     for (uint32_t i = 0; i < list->count; i++) {
         columns[list->place[i]] = x[i];
     }
     zygos_reduce(config, column_map, columns, z);
     z[column_map->parameters] = columns[column_map->count];
-    zygos_gram_add(packed, sum, column_map->parameters + 1u, z);
 }
 
-/* packed += x x^T at the places of the list, two lines at a time. */
-static void add(const zygos_config_t *config, const zygos_column_map_t *column_map, const zygos_column_list_t *list,
-                const double *restrict x, double *restrict packed, double *restrict sum)
+/* The same of the parameters: where a column may count for several, all of them change. */
+static void add_reduced(const zygos_config_t *config, const zygos_column_map_t *column_map,
+                        const zygos_column_list_t *list, const double *x, const double *y,
+                        const zygos_noise_target_t *target)
 {
-    if (config->reduced > 0) {
-        add_reduced(config, column_map, list, x, packed, sum);
-        return;
+    const uint32_t count = column_map->parameters + 1u;
+    double reduced_x[ZYGOS_MAX_PARAMETERS + 1];
+    double reduced_y[ZYGOS_MAX_PARAMETERS + 1];
+    uint8_t place[ZYGOS_MAX_PARAMETERS + 1];
+    for (uint32_t i = 0; i < count; i++) {
+        place[i] = (uint8_t)i;
     }
-    const uint8_t *place = list->place;
-    double total = 0.0;
-    for (uint32_t i = 0; i < list->count; i++) {
-        total += x[i];
-    }
-    for (uint32_t i = 0; i < list->count; i++) {
-        sum[place[i]] += x[i] * total;
-    }
-    uint32_t i = 0;
-    for (; i + 1u < list->count; i += 2u) {
-        double *upper = line_of(packed, place[i]);
-        double *lower = line_of(packed, place[i + 1u]);
-        const double upper_x = x[i];
-        const double lower_x = x[i + 1u];
-        for (uint32_t j = 0; j <= i; j++) {
-            upper[place[j]] += upper_x * x[j];
-            lower[place[j]] += lower_x * x[j];
-        }
-        lower[place[i + 1u]] += lower_x * lower_x;
-    }
-    for (uint32_t j = 0; (i < list->count) && (j <= i); j++) {
-        line_of(packed, place[i])[place[j]] += x[i] * x[j];
-    }
+    reduce(config, column_map, list, x, reduced_x);
+    reduce(config, column_map, list, y, reduced_y);
+    add(place, count, reduced_x, reduced_y, target);
 }
 
-/* The same of the noise of an angle and of its rate, which are correlated where the signal latches late. Places
-   ascend, so what stands there can move to the front of its own array. */
-static bool add_signal(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       uint32_t signal, double weight, double *angle, double *rate, double *packed, double *sum)
+/* Clears the entries of x and y that a list names, for not all of them contain noise. Returns false where the list was
+   changed. */
+static bool clear(const zygos_column_list_t *list, double *x, double *y)
 {
-    const double *factor = self->factor[signal];
-    const zygos_column_list_t *of_angle = &self->angle[signal];
-    const zygos_column_list_t *of_rate = &self->rate[signal];
-    const bool late = (factor[1] > 0.0) || (factor[1] < 0.0);
-    if (!are_whole(of_angle, of_rate)) {
+    if (list->seal != seal_of(list)) {
         return false;
     }
-    for (uint32_t i = 0; i < of_angle->count; i++) {
-        const uint32_t place = of_angle->place[i];
-        angle[i] = weight * factor[0] * angle[place];
-        if (late) {
-            angle[i] += weight * factor[1] * rate[place];
-        }
+    for (uint32_t i = 0; i < list->count; i++) {
+        x[list->place[i]] = 0.0;
+        y[list->place[i]] = 0.0;
     }
-    add(config, column_map, of_angle, angle, packed, sum);
-    for (uint32_t i = 0; i < of_rate->count; i++) {
-        rate[i] = weight * factor[2] * rate[of_rate->place[i]];
-    }
-    add(config, column_map, of_rate, rate, packed, sum);
     return true;
+}
+
+/* The entries of x and y that a list names, times the factor of a signal. Places ascend, so what stands there can move
+   to the front of its own array. */
+static void add_list(const zygos_config_t *config, const zygos_column_map_t *column_map,
+                     const zygos_column_list_t *list, const double factor[3], double *x, double *y,
+                     const zygos_noise_target_t *target)
+{
+    for (uint32_t i = 0; i < list->count; i++) {
+        const uint32_t place = list->place[i];
+        x[i] = factor[0] * x[place] + factor[1] * y[place];
+        y[i] = factor[2] * y[place];
+    }
+    if (config->reduced > 0) {
+        add_reduced(config, column_map, list, x, y, target);
+    } else {
+        add(list->place, list->count, x, y, target);
+    }
 }
 
 /* Of a motion about joint i: bodies, and the rotors that they carry. */
@@ -496,34 +555,37 @@ static void gyro_slopes(const zygos_config_t *config, const zygos_column_map_t *
 /* The share of one axis of the gyro. */
 static bool add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                      const zygos_arm_state_t *state, const zygos_motion_t *motion, uint32_t axis, double weight,
-                     double *packed, double *sum)
+                     const zygos_noise_target_t *target)
 {
-    const double deviation = weight * root(self->gyro_variance);
+    const double factor[3] = { weight * root(self->gyro_variance), 0.0, 0.0 };
     double rate[ZYGOS_MAX_COLUMNS + 1];
-    if (self->gyro.seal != seal_of(&self->gyro)) {
+    double none[ZYGOS_MAX_COLUMNS + 1];
+    if (!clear(&self->gyro, rate, none)) {
         return false;
     }
     gyro_slopes(config, column_map, state, motion, axis, rate);
-    for (uint32_t k = 0; k < self->gyro.count; k++) {
-        rate[k] = deviation * rate[self->gyro.place[k]];
-    }
-    add(config, column_map, &self->gyro, rate, packed, sum);
+    add_list(config, column_map, &self->gyro, factor, rate, none, target);
     return true;
 }
 
 /* The share of one encoder: those of the links first, then those of the motors. */
 static bool add_encoder(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                         const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
-                        const double *tau, const double *tau_next, uint32_t sensor, double weight, double *packed,
-                        double *sum)
+                        const double *tau, const double *tau_next, uint32_t sensor, double weight,
+                        const zygos_noise_target_t *target)
 {
     const uint32_t n = config->joints;
     const uint32_t i = sensor % n;
     const bool rigid = (config->joint[i].rigid != 0);
+    const double factor[3] = { weight * self->factor[sensor][0], weight * self->factor[sensor][1],
+                               weight * self->factor[sensor][2] };
     double angle[ZYGOS_MAX_COLUMNS + 1];
     double rate[ZYGOS_MAX_COLUMNS + 1];
     if (rigid && (sensor >= n)) {
         return true; /* it spoke for both sides */
+    }
+    if (!clear(&self->signal[sensor], angle, rate)) {
+        return false;
     }
     if (sensor < n) {
         link_slopes(config, column_map, geometry, state, motion, i, angle, rate);
@@ -533,13 +595,14 @@ static bool add_encoder(const zygos_noise_t *self, const zygos_config_t *config,
     } else {
         motor_slopes(config, column_map, state, motion, tau, tau_next, i, angle, rate);
     }
-    return add_signal(self, config, column_map, sensor, weight, angle, rate, packed, sum);
+    add_list(config, column_map, &self->signal[sensor], factor, angle, rate, target);
+    return true;
 }
 
 bool zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                      const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
-                     const double *tau, const double *tau_next, uint32_t turn, double weight, double *packed,
-                     double *sum)
+                     const double *tau, const double *tau_next, uint32_t turn, double weight,
+                     const zygos_noise_target_t *target)
 {
     const uint32_t stride = config->compensation;
     if (stride == 0) {
@@ -553,11 +616,11 @@ bool zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, co
     const double share = weight * root((double)stride);
     for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
         if (sensor >= encoders) {
-            whole = add_gyro(self, config, column_map, state, motion, sensor - encoders, share, packed, sum) && whole;
+            whole = add_gyro(self, config, column_map, state, motion, sensor - encoders, share, target) && whole;
         } else {
-            whole = add_encoder(self, config, column_map, geometry, state, motion, tau, tau_next, sensor, share, packed,
-                                sum) &&
-                    whole;
+            whole =
+                add_encoder(self, config, column_map, geometry, state, motion, tau, tau_next, sensor, share, target) &&
+                whole;
         }
     }
     return whole;

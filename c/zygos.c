@@ -636,11 +636,13 @@ static void add_energy(zygos_t *self, bool busy)
         zygos_reduce(config, &self->column_map, columns.column, self->row.column);
         self->row.work = columns.work;
     }
-    zygos_noise_sums_t *noise = &self->accumulator.buffer[self->accumulator.filling].noise;
+    zygos_noise_sums_t *noise = &self->accumulator.noise_open[self->accumulator.parity];
+    zygos_row_buffer_t *buffer = &self->accumulator.buffer[self->accumulator.filling];
+    const zygos_noise_target_t target = { noise->gram, noise->sum, buffer->gram, buffer->sum };
     const bool whole =
         zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
-                        self->arc, self->arm_state.accepted, noise->gram, noise->sum);
+                        self->arc, self->arm_state.accepted, &target);
     const bool opened = zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
     /* The noise of the first link is that of all bodies, which costs the most. */
     const bool dear = (config->compensation > TURNS) && (self->arc % config->compensation == 0);

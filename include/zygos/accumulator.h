@@ -19,7 +19,8 @@
 /// proceed in cycles without rows. Who reads the sums finishes these tasks on a copy first; the result is then the same
 /// as if they had been finished when the arc ended.
 ///
-/// The bias of the sums by noise (noise.h) is summed beside the rows of a buffer, and is subtracted with them.
+/// The bias of the sums by noise (noise.h) is subtracted from the buffer that its instant is in, and is also summed for
+/// its whole arc.
 ///
 /// Every block contains its row sums: G 1 = sum holds up to rounding, unless memory was corrupted. The other members of
 /// a block of closed arcs, and the members that tell which blocks there are, have a checksum. In the open arc the
@@ -63,24 +64,22 @@ typedef struct {
     uint64_t checksum; ///< Closed arcs: of deviation and the members after it; otherwise 0.
 } zygos_block_t;
 
-/// The expected sums of products of noise: packed lower triangle of p + 1 rows, the work last, and its row sums. As
-/// long as those of a block, so that both are added in the same slices; what is beyond is 0.
+/// The expected sums of products of noise: packed lower triangle of p + 1 rows, the work last, and its row sums.
 typedef struct {
-    double gram[ZYGOS_MAX_SLICED_GRAM];
-    double sum[ZYGOS_MAX_SLICED_ROW];
+    double gram[ZYGOS_MAX_PACKED_NOISE];
+    double sum[ZYGOS_MAX_NOISE_ROW];
 } zygos_noise_sums_t;
 
-/// The summed rows of ZYGOS_BUFFER_ROWS instants.
+/// The summed rows of ZYGOS_BUFFER_ROWS instants less their noise.
 typedef struct {
     double gram[ZYGOS_MAX_SLICED_GRAM];
     double sum[ZYGOS_MAX_SLICED_ROW];
-    zygos_noise_sums_t noise; ///< Their noise.
-    double instants;          ///< Accepted instants, while the buffer is filled.
-    double early;             ///< Weight of the older block, from then on.
-    double late;              ///< Weight of the newer block.
-    uint32_t places;          ///< ZYGOS_PLACES() of the two blocks.
-    uint32_t shared;          ///< Slices that have been added; ZYGOS_BUFFER_ROWS: all, or the buffer is filled.
-    uint32_t parity;          ///< That of its arc.
+    double instants; ///< Accepted instants, while the buffer is filled.
+    double early;    ///< Weight of the older block, from then on.
+    double late;     ///< Weight of the newer block.
+    uint32_t places; ///< ZYGOS_PLACES() of the two blocks.
+    uint32_t shared; ///< Slices that have been added; ZYGOS_BUFFER_ROWS: all, or the buffer is filled.
+    uint32_t parity; ///< That of its arc.
     uint32_t reserved;
 } zygos_row_buffer_t;
 
@@ -155,8 +154,8 @@ typedef struct {
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
 
-/// Adds one instant with weight 1 (accepted) or 0 (refused); the instructions are the same. The caller has added the
-/// noise of this instant to the noise of the buffer that is being filled. Returns whether a segment was opened; the
+/// Adds one instant with weight 1 (accepted) or 0 (refused); the instructions are the same. The caller has
+/// subtracted the noise of this instant from the buffer that is being filled. Returns whether a segment was opened; the
 /// task need not proceed beside that. Cost: one rank-1 update of (p+2)(p+3)/2 entries, and the addition of that number
 /// / ZYGOS_BUFFER_ROWS to the blocks, twice as much in the first ZYGOS_BUFFER_ROWS instants of an arc. Where the tasks
 /// had no time to clear blocks, two blocks are cleared and merged at once.

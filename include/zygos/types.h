@@ -36,12 +36,12 @@ extern "C" {
 #endif
 
 /// The number of blocks into which the normal equations are divided; the standard deviations are computed from the
-/// scatter of the blocks. It must be even.
+/// scatter of the blocks.
 #ifndef ZYGOS_MAX_BLOCKS
 #define ZYGOS_MAX_BLOCKS 32
 #endif
-#if (ZYGOS_MAX_BLOCKS < 12) || (ZYGOS_MAX_BLOCKS > 128) || (ZYGOS_MAX_BLOCKS % 2 != 0)
-#error "ZYGOS_MAX_BLOCKS must be even, 12..128"
+#if (ZYGOS_MAX_BLOCKS < 11) || (ZYGOS_MAX_BLOCKS > 128)
+#error "ZYGOS_MAX_BLOCKS must be 11..128"
 #endif
 
 /// The length of an array of places of blocks: whole words of eight bytes.
@@ -170,11 +170,15 @@ extern "C" {
 /// The length of a row that is augmented by the work and by 1.
 #define ZYGOS_MAX_ROW (ZYGOS_MAX_PARAMETERS + 2)
 #define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
+/// The length of a row that is augmented by the work alone, because 1 contains no noise.
+#define ZYGOS_MAX_NOISE_ROW (ZYGOS_MAX_PARAMETERS + 1)
+#define ZYGOS_MAX_PACKED_NOISE (ZYGOS_MAX_NOISE_ROW * (ZYGOS_MAX_NOISE_ROW + 1) / 2)
 /// The number of instants whose rows are summed in a buffer before the sum is added to the blocks. It is added in as
-/// many slices, one in each cycle; the two lengths below are rounded up to whole slices.
+/// many slices of an even length, one in each cycle; the two lengths below are rounded up to whole slices.
 #define ZYGOS_BUFFER_ROWS 8
-#define ZYGOS_MAX_SLICED_ROW (ZYGOS_MAX_ROW + 2 * ZYGOS_BUFFER_ROWS)
-#define ZYGOS_MAX_SLICED_GRAM (ZYGOS_MAX_PACKED_ROW + 2 * ZYGOS_BUFFER_ROWS)
+#define ZYGOS_SLICED_UNIT (2 * ZYGOS_BUFFER_ROWS)
+#define ZYGOS_MAX_SLICED_ROW ((ZYGOS_MAX_ROW + ZYGOS_SLICED_UNIT - 1) / ZYGOS_SLICED_UNIT * ZYGOS_SLICED_UNIT)
+#define ZYGOS_MAX_SLICED_GRAM ((ZYGOS_MAX_PACKED_ROW + ZYGOS_SLICED_UNIT - 1) / ZYGOS_SLICED_UNIT * ZYGOS_SLICED_UNIT)
 #define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
 
 /// A symbol whose name carries the capacities. The library defines it (c/capacities.c) and every object that includes

@@ -23,7 +23,7 @@ STRUCTS = {
 }  # fmt: skip
 USUAL, LEAST = "usual capacities", "least capacities"
 SMALLEST = (
-    "MAX_BLOCKS=12", "MAX_MOTOR_BLOCKS=4", "MAX_MOMENTUM_BLOCKS=4", "MAX_EFFECTS=0", "MAX_REDUCTION=0", "JOINT_ROWS=0",
+    "MAX_BLOCKS=11", "MAX_MOTOR_BLOCKS=4", "MAX_MOMENTUM_BLOCKS=4", "MAX_EFFECTS=0", "MAX_REDUCTION=0", "JOINT_ROWS=0",
 )  # fmt: skip
 """The least numbers of blocks, no effects and no joint rows, which a free base with springs does not need."""
 PLANAR = ("MAX_JOINTS=2", "SPATIAL=0")

@@ -23,7 +23,7 @@ from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 
-LEAST = "-DZYGOS_MAX_BLOCKS=12 -DZYGOS_MAX_MOTOR_BLOCKS=4 -DZYGOS_MAX_MOMENTUM_BLOCKS=4"
+LEAST = "-DZYGOS_MAX_BLOCKS=11 -DZYGOS_MAX_MOTOR_BLOCKS=4 -DZYGOS_MAX_MOMENTUM_BLOCKS=4"
 LEAST_BLOCKS, LEAST_ARCS = 6, 3
 
 
@@ -40,7 +40,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         ffi, lib = flight._load()
         patch.setattr(flight, "ffi", ffi)
         patch.setattr(flight, "lib", lib)
-        assert lib.ZYGOS_MAX_BLOCKS_VALUE == 12
+        assert lib.ZYGOS_MAX_BLOCKS_VALUE == 11
         yield
 
 

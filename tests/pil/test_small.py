@@ -22,7 +22,7 @@ from pil.pil_support import (
 from zygos.native import flight
 
 LEAST = (
-    "-DZYGOS_MAX_BLOCKS=12",
+    "-DZYGOS_MAX_BLOCKS=11",
     "-DZYGOS_MAX_MOTOR_BLOCKS=4",
     "-DZYGOS_MAX_MOMENTUM_BLOCKS=4",
     "-DZYGOS_MAX_EFFECTS=0",

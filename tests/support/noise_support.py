@@ -61,7 +61,10 @@ class NoiseRoom:
     def moment(self, sample: Sample, tau_next: Floats, turn: int = 0) -> Floats:
         """J S J^T, (p+1, p+1); sample.tau is the torque before the instant."""
         width = self.column_map.count + 1
-        packed, sums = ffi.new("double[]", width * (width + 1) // 2), ffi.new("double[]", width)
+        size = width * (width + 1) // 2
+        gram, rows = ffi.new("double[]", size), ffi.new("double[]", size)
+        sums, row_sums = ffi.new("double[]", width), ffi.new("double[]", width)
+        target = ffi.new("zygos_noise_target_t *", (gram, sums, rows, row_sums))
         state, motion = self._at(sample)
         before, after = (ffi.new("double[]", tau.tolist()) for tau in (sample.tau, tau_next))
         lib.zygos_noise_add(
@@ -75,11 +78,12 @@ class NoiseRoom:
             after,
             turn,
             1.0,
-            packed,
-            sums,
+            target,
         )
+        np.testing.assert_array_equal(list(rows), -np.array(list(gram)))
+        np.testing.assert_array_equal(list(row_sums), -np.array(list(sums)))
         out = np.zeros((width, width))
-        out[np.tril_indices(width)] = list(packed)
+        out[np.tril_indices(width)] = list(gram)
         out += np.tril(out, -1).T
         np.testing.assert_allclose(list(sums), out.sum(axis=0), rtol=0, atol=1e-12 * np.abs(out).max() * width)
         return out

@@ -754,7 +754,6 @@ SUMS: dict[str, Callable[[Any], Any]] = {
     "newest block": lambda native: block_of(native, native.accumulator.count - 1),
     "buffer that fills": lambda native: native.accumulator.buffer[native.accumulator.filling],
     "buffer that is shared out": lambda native: native.accumulator.buffer[(native.accumulator.filling + 2) % 3],
-    "noise of that buffer": lambda native: native.accumulator.buffer[(native.accumulator.filling + 2) % 3].noise,
     "noise of the arc": lambda native: native.accumulator.noise_open[native.accumulator.parity],
     "noise of closed arcs": lambda native: native.accumulator.noise_closed,
     "motor rows of a closed arc": lambda native: native.motor_sums.block[1].joint[1],

@@ -21,7 +21,7 @@ _ENUMS = {
 
 _BLOCKS = 32
 """With fewer blocks, `zygos_detect_change()` does not always find enough of them before the newest arc."""
-_FEWEST = {"ZYGOS_MAX_BLOCKS": 12, "ZYGOS_MAX_MOTOR_BLOCKS": 4, "ZYGOS_MAX_MOMENTUM_BLOCKS": 4}
+_FEWEST = {"ZYGOS_MAX_BLOCKS": 11, "ZYGOS_MAX_MOTOR_BLOCKS": 4, "ZYGOS_MAX_MOMENTUM_BLOCKS": 4}
 """The least of a build."""
 _COUNTED = {"joint": "joints", "effect": "effects", "reduction": "reductions"}
 """Arrays of which only so many entries are in use."""
