@@ -24,15 +24,18 @@ STRUCTS = {
 USUAL, LEAST = "usual capacities", "least capacities"
 SMALLEST = (
     "MAX_BLOCKS=11", "MAX_MOTOR_BLOCKS=4", "MAX_MOMENTUM_BLOCKS=4", "MAX_EFFECTS=0", "MAX_REDUCTION=0", "JOINT_ROWS=0",
+    "MAX_HALF_WIDTH=7",
 )  # fmt: skip
-"""The least numbers of blocks, no effects and no joint rows, which a free base with springs does not need."""
+"""The least numbers of blocks, no effects and no joint rows, which a free base with springs does not need, and windows
+of 15 points."""
 PLANAR = ("MAX_JOINTS=2", "SPATIAL=0")
 BUILDS = (
-    ("2 joints in a plane", 42, PLANAR, (*SMALLEST, "MAX_PARAMETERS=12", "MOMENTUM=0", "MAX_HALF_WIDTH=6")),
-    ("3 joints in space", 395, ("MAX_JOINTS=3",), SMALLEST),
-    ("7 joints in space", 3400, ("MAX_JOINTS=7",), SMALLEST),
+    ("2 joints in a plane", (42, 78), PLANAR, (*SMALLEST, "MOMENTUM=0", "MAX_PARAMETERS=12")),
+    ("3 joints in space", (395, 490), ("MAX_JOINTS=3",), SMALLEST),
+    ("7 joints in space", (3400, 3600), ("MAX_JOINTS=7",), SMALLEST),
 )
-"""Arm, budget in kB of the three structs, capacities, and those of the least build beside them."""
+"""Arm, budgets in kB without and with eight effects, capacities, and those of the least build beside them."""
+EFFECTS = 8
 BEGIN, END = "<!-- python -m bench.sizes writes this -->\n", "<!-- to here -->"
 
 
@@ -65,13 +68,19 @@ def profile() -> str:
             "rest of the state", "solver", "estimate"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
     kinds = ("energy", "motors", "momentum", "joints")
-    for title, budget, usual, least in BUILDS:
-        for name, capacities in ((USUAL, usual), (LEAST, (*usual, *least))):
+    for title, (budget, with_effects), usual, least in BUILDS:
+        fewest = (*usual, *least)
+        beside = [flag.replace("MAX_PARAMETERS=12", f"MAX_PARAMETERS={12 + EFFECTS}") for flag in fewest]
+        for name, limit, capacities in (
+            (LEAST, f"{budget:,}", fewest),
+            (f"the same and {EFFECTS} effects", f"{with_effects:,}", [flag.replace("MAX_EFFECTS=0", f"MAX_EFFECTS={EFFECTS}") for flag in beside]),
+            (USUAL, "", usual),
+        ):
             size = sizes(*capacities)
             rows = [size[kind] for kind in kinds]
             cells = [in_place(size), total(size), *rows, size["arm"] - sum(rows), size["solver"], size["estimate"]]
             shown = [f"{cell / 1000:,.0f}" for cell in cells]
-            lines.append(f"| {title}, {name} | {budget:,} | " + " | ".join(shown) + " |")
+            lines.append(f"| {title}, {name} | {limit} | " + " | ".join(shown) + " |")
     return "\n".join(lines) + "\n"
 
 
