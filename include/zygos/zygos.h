@@ -109,7 +109,8 @@ typedef struct {
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
-/// Identifies the memory layout. It differs between builds whose structs differ in their text, by their capacities or
+/// Identifies the memory layout, the same on processors of 32 and of 64 bits: zygos_solver_t, which has pointers, is in
+/// no snapshot and does not count. It differs between builds whose structs differ in their text, by their capacities or
 /// by the compiler. The caller writes it into zygos_config_t.abi, and zygos_init() compares it with that of the
 /// library. It is also in the head of a snapshot.
 #define ZYGOS_ABI                                                                                                      \
@@ -117,7 +118,8 @@ typedef struct {
         ZYGOS_MIX(ZYGOS_MIX(ZYGOS_ABI_SIZES, ZYGOS_MAX_JOINTS), ZYGOS_VERSION_MAJOR * 256 + ZYGOS_VERSION_MINOR),      \
         ZYGOS_LAYOUT)
 #define ZYGOS_ABI_SIZES                                                                                                \
-    ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(sizeof(zygos_t), sizeof(zygos_config_t)), sizeof(zygos_work_t)), \
+    ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(sizeof(zygos_t), sizeof(zygos_config_t)),                        \
+                                            sizeof(zygos_work_t) - sizeof(zygos_solver_t)),                            \
                                   sizeof(zygos_estimate_t)),                                                           \
                         sizeof(zygos_cycle_t)),                                                                        \
               sizeof(zygos_frame_t))

@@ -73,7 +73,11 @@ def profile() -> str:
         beside = [flag.replace("MAX_PARAMETERS=12", f"MAX_PARAMETERS={12 + EFFECTS}") for flag in fewest]
         for name, limit, capacities in (
             (LEAST, f"{budget:,}", fewest),
-            (f"the same and {EFFECTS} effects", f"{with_effects:,}", [flag.replace("MAX_EFFECTS=0", f"MAX_EFFECTS={EFFECTS}") for flag in beside]),
+            (
+                f"the same and {EFFECTS} effects",
+                f"{with_effects:,}",
+                [flag.replace("MAX_EFFECTS=0", f"MAX_EFFECTS={EFFECTS}") for flag in beside],
+            ),
             (USUAL, "", usual),
         ):
             size = sizes(*capacities)

@@ -62,13 +62,15 @@ def test_everything_fits(example: str, builds: Path, tmp_path: Path, agree: Agre
     with capacities(builds, small.build):
         arm, cycles = recorded(example)
         arm = replace(arm, arc_max_s=0.3, momentum_max_s=0.3, impulse_arc_s=0.3)
-        assert arm.compensate_every > 0
         config = flight.config_of(arm)
+        assert config.compensation > 0
         sections = [frames_section(flight.encode(arm, cycles)), *END]
         elf = firmware(builds, "m7", "bulk", small.build, small.flags, board="mps2-an500-small")
         records, sizes = on_target("m7", elf, tmp_path, config, sections)
         host = on_host(config, sections, in_place=True)
-        agree("m7", small.build.name, f"all in {small.ram_bytes:,} bytes of RAM, solved in place", compare(host, records))
+        agree(
+            "m7", small.build.name, f"all in {small.ram_bytes:,} bytes of RAM, solved in place", compare(host, records)
+        )
         measured("m7", small.build.name, sizes)
         estimate = flight.ffi.from_buffer("zygos_estimate_t *", host[-2].data)
         state = flight.ffi.from_buffer("zygos_t *", host[-1].data)
@@ -80,6 +82,6 @@ def test_everything_fits(example: str, builds: Path, tmp_path: Path, agree: Agre
 
 
 def test_what_does_not_fit_does_not_link(builds: Path) -> None:
-    small = replace(SMALL["spatial"], ram_bytes=400_000)
+    small = replace(SMALL["spatial"], ram_bytes=384_000)
     with pytest.raises(Exception, match="returned non-zero exit status"):
         firmware(builds, "m7", "bulk", small.build, small.flags, board="mps2-an500-small")

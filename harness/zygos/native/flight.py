@@ -49,6 +49,7 @@ def _load() -> tuple[Any, Any]:
             f"the C library is not built ({error}); remedy: run `make build`, or install the package with pip"
         ) from error
     sizes = [binding.sizeof(f"zygos_{name}_t") for name in ("config", "work", "estimate", "cycle", "frame")]
+    sizes[1] -= binding.sizeof("zygos_solver_t")
     version = library.ZYGOS_VERSION_MAJOR_VALUE * 256 + library.ZYGOS_VERSION_MINOR_VALUE
     abi = binding.sizeof("zygos_t")
     for part in (*sizes, library.ZYGOS_MAX_JOINTS_VALUE, version, library.ZYGOS_LAYOUT_VALUE):
