@@ -188,14 +188,13 @@ bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
     const bool none = (config->momentum_arc_cycles == 0);
-    bool good = (self->columns == columns_of(config)) && (self->components == components_of(config)) &&
-                (self->signals == signals_of(config)) && (width_of(self) <= (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) &&
-                (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) && is_count(self->arc.instants) &&
-                ((self->closing_cycles == 0) || is_count(ZYGOS_MOMENTUM_CLOSING(self).instants)) &&
-                zygos_momentum_sums_steady(self) &&
-                is_factor(self->noise_fade) && (self->noise_fade > 0.0) &&
-                (none ? (self->count == 0) && !(self->arc.instants > 0.0)
-                      : (self->target >= 1.0) && is_count(self->target));
+    bool good =
+        (self->columns == columns_of(config)) && (self->components == components_of(config)) &&
+        (self->signals == signals_of(config)) && (width_of(self) <= (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) &&
+        (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) && is_count(self->arc.instants) &&
+        ((self->closing_cycles == 0) || is_count(ZYGOS_MOMENTUM_CLOSING(self).instants)) &&
+        zygos_momentum_sums_steady(self) && is_factor(self->noise_fade) && (self->noise_fade > 0.0) &&
+        (none ? (self->count == 0) && !(self->arc.instants > 0.0) : (self->target >= 1.0) && is_count(self->target));
     for (uint32_t b = 0; good && (b < self->count); b++) {
         good = is_count(self->block[b].instants) && is_factor(self->block[b].fade);
     }
@@ -697,8 +696,7 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
     }
     self->count = to;
     reseal(self);
-    if (!is_count(self->arc.instants) ||
-        !(violation(&self->arc.rows, width_of(self), self->arc.instants) <= 1.0) ||
+    if (!is_count(self->arc.instants) || !(violation(&self->arc.rows, width_of(self), self->arc.instants) <= 1.0) ||
         !(violation(&ZYGOS_MOMENTUM_NOISE_OPEN(self), self->columns, self->arc.instants) <= 1.0)) {
         self->quarantined++;
         zygos_momentum_sums_leave_out(self);

@@ -1694,8 +1694,8 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     borrow(solver);
     const uint32_t p = solver->column_map.parameters;
     out->parameters = p;
-    const int answer = joints ? detect_in_joints(solver, p, out, deviation)
-                              : detect_in_energy(solver, p, guarded, out, deviation);
+    const int answer =
+        joints ? detect_in_joints(solver, p, out, deviation) : detect_in_energy(solver, p, guarded, out, deviation);
     give_back(solver);
     return answer;
 }

@@ -70,19 +70,19 @@ typedef struct {
 
 /// The normal equations of the momentum rows.
 typedef struct {
-    uint32_t columns;     ///< Number of columns; 0 where the configuration has no such rows.
-    uint32_t components;  ///< Number of components: 3 in space, 1 in a plane.
-    uint32_t count;       ///< Number of blocks of closed arcs.
-    uint32_t corrupt;     ///< 1: count and target did not match, and no single bit explains that.
-    uint32_t cycles;      ///< Instants of the open arc, accepted or not.
-    uint32_t signals;     ///< Sensors whose noise is subtracted; 0 where none is.
-    uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_scrub().
-    uint32_t task;        ///< One of the tasks above.
-    uint32_t row;         ///< The next row of the task.
-    uint32_t place;       ///< The block that the task changes.
-    uint32_t admitted;    ///< 1: the closing arc is admitted.
-    uint32_t parity;      ///< 0 or 1 in turn: which of noise_arc is that of the open arc.
-    uint32_t twin;        ///< ZYGOS_MOMENTUM_TWIN, with which each cycle compares the members in it.
+    uint32_t columns;                       ///< Number of columns; 0 where the configuration has no such rows.
+    uint32_t components;                    ///< Number of components: 3 in space, 1 in a plane.
+    uint32_t count;                         ///< Number of blocks of closed arcs.
+    uint32_t corrupt;                       ///< 1: count and target did not match, and no single bit explains that.
+    uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
+    uint32_t signals;                       ///< Sensors whose noise is subtracted; 0 where none is.
+    uint32_t quarantined;                   ///< Arcs and blocks that were dropped since the last zygos_scrub().
+    uint32_t task;                          ///< One of the tasks above.
+    uint32_t row;                           ///< The next row of the task.
+    uint32_t place;                         ///< The block that the task changes.
+    uint32_t admitted;                      ///< 1: the closing arc is admitted.
+    uint32_t parity;                        ///< 0 or 1 in turn: which of noise_arc is that of the open arc.
+    uint32_t twin;                          ///< ZYGOS_MOMENTUM_TWIN, with which each cycle compares the members in it.
     uint32_t closing_cycles;                ///< Instants of the closing arc, accepted or not; 0 where none is closing.
     double target;                          ///< Instants up to which blocks are merged.
     double noise_fade;                      ///< Factor of noise_closed.

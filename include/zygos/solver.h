@@ -134,9 +134,9 @@ typedef struct {
                                          ///< value. Positive semi-definite among those that have one.
 } zygos_estimate_t;
 
-/// Where the solver finds the sums, and what it remembers in between. Its five triangles lie in memory of the accumulator
-/// that is free when all arcs have ended. It belongs to the task that solves; its
-/// members are not for reading.
+/// Where the solver finds the sums, and what it remembers in between. Its five triangles lie in memory of the
+/// accumulator that is free when all arcs have ended. It belongs to the task that solves; its members are not for
+/// reading.
 typedef struct {
     zygos_accumulator_t *accumulator;
     zygos_motor_sums_t *motor_sums;
@@ -173,10 +173,10 @@ typedef struct {
     struct {
         uint32_t first;
         uint32_t end;
-    } blocks, arcs, momenta; ///< The blocks of energy, motor and momentum rows that are used.
-    double instants;         ///< Accepted instants in the blocks of energy rows.
-    double noise_fraction;   ///< Their share of the noise of all closed arcs.
-    double noise_scale;      ///< Share of the declared noise that is subtracted.
+    } blocks, arcs, momenta;              ///< The blocks of energy, motor and momentum rows that are used.
+    double instants;                      ///< Accepted instants in the blocks of energy rows.
+    double noise_fraction;                ///< Their share of the noise of all closed arcs.
+    double noise_scale;                   ///< Share of the declared noise that is subtracted.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS]; ///< Which column each row of factor is of.
     uint32_t other_pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_solver_t;
@@ -209,8 +209,8 @@ typedef struct {
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
 /// The parts of zygos_solve_in_place(): whether the sums match, the solution, and the estimate where they do
-/// not. They need the members of *self from accumulator to config, and cycle, and that all arcs have ended. The triangles
-/// are free and empty before and afterwards. Cost: as zygos_work_intact() and zygos_solve().
+/// not. They need the members of *self from accumulator to config, and cycle, and that all arcs have ended. The
+/// triangles are free and empty before and afterwards. Cost: as zygos_work_intact() and zygos_solve().
 bool zygos_solver_matches(const zygos_solver_t *self);
 int zygos_solver_solve(zygos_solver_t *self, zygos_estimate_t *out);
 int zygos_solver_refuse(zygos_estimate_t *out);

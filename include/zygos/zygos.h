@@ -166,9 +166,9 @@ int zygos_step(zygos_t *self);
 int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
 
 /// Ends the open arcs of all rows, and finishes the tasks that proceed beside the cycles; open arcs that are too short
-/// to be of use are dropped. The next cycle begins new ones. Call it in the task of zygos_step(). Returns 1; ZYGOS_E_NULL;
-/// ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or ZYGOS_E_STATE, with *self unchanged, when memory was
-/// changed: call zygos_scrub(). Cost: a few passes over the sums of two arcs of each kind.
+/// to be of use are dropped. The next cycle begins new ones. Call it in the task of zygos_step(). Returns 1;
+/// ZYGOS_E_NULL; ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or ZYGOS_E_STATE, with *self unchanged,
+/// when memory was changed: call zygos_scrub(). Cost: a few passes over the sums of two arcs of each kind.
 int zygos_end_arcs(zygos_t *self);
 
 /// Copies everything that zygos_solve() needs into *work. Does nothing when a pointer is null. Call it in the task of
@@ -178,10 +178,10 @@ void zygos_take(const zygos_t *self, zygos_work_t *work);
 /// Solves like zygos_take() and zygos_solve(), but without a copy of the sums: for memory that does not hold a
 /// zygos_work_t. The open arcs end (zygos_end_arcs()), the normal equations lie in buffers of *self until the call
 /// returns, and no other function may be called on *self until then but zygos_frame(): cycles wait in the queue, and
-/// those beyond its length are lost and counted. Call it where the arm rests or the motion has ended, not more often than
-/// arcs would end. An arc that does not match its row sums is dropped and counted, and the others are solved. Call it in
-/// the task of zygos_step(). Returns what zygos_solve() returns, or what zygos_end_arcs() does where that is negative.
-/// Cost: that of zygos_end_arcs() and of zygos_solve().
+/// those beyond its length are lost and counted. Call it where the arm rests or the motion has ended, not more often
+/// than arcs would end. An arc that does not match its row sums is dropped and counted, and the others are solved. Call
+/// it in the task of zygos_step(). Returns what zygos_solve() returns, or what zygos_end_arcs() does where that is
+/// negative. Cost: that of zygos_end_arcs() and of zygos_solve().
 int zygos_solve_in_place(zygos_t *self, zygos_solver_t *solver, zygos_estimate_t *out);
 
 /// Adopts a valid estimate of this arm as the running solution, with which each arc is compared when it ends (guard.h):

@@ -70,14 +70,10 @@ def profile() -> str:
     kinds = ("energy", "motors", "momentum", "joints")
     for title, (budget, with_effects), usual, least in BUILDS:
         fewest = (*usual, *least)
-        beside = [flag.replace("MAX_PARAMETERS=12", f"MAX_PARAMETERS={12 + EFFECTS}") for flag in fewest]
+        more = {"MAX_PARAMETERS=12": f"MAX_PARAMETERS={12 + EFFECTS}", "MAX_EFFECTS=0": f"MAX_EFFECTS={EFFECTS}"}
         for name, limit, capacities in (
             (LEAST, f"{budget:,}", fewest),
-            (
-                f"the same and {EFFECTS} effects",
-                f"{with_effects:,}",
-                [flag.replace("MAX_EFFECTS=0", f"MAX_EFFECTS={EFFECTS}") for flag in beside],
-            ),
+            (f"the same and {EFFECTS} effects", f"{with_effects:,}", [more.get(flag, flag) for flag in fewest]),
             (USUAL, "", usual),
         ):
             size = sizes(*capacities)

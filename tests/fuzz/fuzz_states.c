@@ -19,6 +19,7 @@ static uint64_t good_cycle[STATES];
 static zygos_t arm;
 static zygos_t before;
 static zygos_work_t work;
+static zygos_solver_t solver;
 static zygos_estimate_t estimate;
 static slot_t slot[4 + 2 * ZYGOS_MAX_JOINTS];
 static uint32_t slot_count;
@@ -292,6 +293,7 @@ int main(int count, char **argument)
     uint64_t configured = 0;
     uint64_t values = 0;
     uint64_t corrupt = 0;
+    uint64_t in_place = 0;
     for (uint64_t k = 0; k < tries; k++) {
         uint8_t head[ZYGOS_SNAPSHOT_HEAD];
         const uint32_t from = below(STATES);
@@ -318,6 +320,11 @@ int main(int count, char **argument)
         arm = good[from];
         fly_on(good_cycle[from], (k % 8u == 0) ? 150u : 25u, of_sums, sums_regions, &config);
         (void)solve();
+        if (zygos_solve_in_place(&arm, &solver, &estimate) == 1) {
+            in_place++;
+            check(zygos_scrub(&arm, &config) >= 0, "not scrubbed behind a solution in place");
+        }
+        run(good_cycle[from] + 500u, 25u);
         zygos_config_t wild = config;
         change(&wild, sizeof wild, &of_config, 1);
         if (zygos_init(&arm, &wild) == 1) {
@@ -334,7 +341,7 @@ int main(int count, char **argument)
         corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
     }
     printf("resumed %" PRIu64 "\nrefused_state %" PRIu64 "\nrefused_otherwise %" PRIu64 "\nvalues %" PRIu64
-           "\ncorrupt %" PRIu64 "\nconfigured %" PRIu64 "\n",
-           resumed, refused_state, refused_otherwise, values, corrupt, configured);
+           "\ncorrupt %" PRIu64 "\nconfigured %" PRIu64 "\nin_place %" PRIu64 "\n",
+           resumed, refused_state, refused_otherwise, values, corrupt, configured, in_place);
     return 0;
 }

@@ -1,4 +1,4 @@
-"""Images of which everything lies in a small memory: the linker refuses what does not fit, and the bytes are the host's."""
+"""Images that lie in a small memory as a whole: what does not fit does not link, and the bytes are the host's."""
 
 from __future__ import annotations
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import EXAMPLE
 from flight_support import part
 from motion_support import random_ground
 
+from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
 from zygos.model.model import load_model
 from zygos.native.flight import REASONS, Flight, ffi, lib
@@ -136,7 +136,7 @@ def test_forgetting_is_that_of_arcs_that_end() -> None:
 
 
 def test_the_guard_leaves_an_arc_out_as_when_it_ends() -> None:
-    arm, motion = run("planar")
+    motion = run("planar")[1]
     flight = again("planar", 700)
     assert flight.estimate().validity == "valid"
     assert flight.adopt()

@@ -64,8 +64,9 @@ def _sizes(given: tuple[tuple[str, int], ...]) -> dict[str, int]:
 def memory(capacities: Mapping[str, int], *, in_place: bool = False) -> dict[str, int]:
     """Bytes of a build with these capacities, by macro: ``configuration``, ``state``, ``work``, ``estimate``.
 
-    in_place: with ``solver`` instead of ``work``, for `zygos_solve_in_place()`. A capacity that is missing has its default. The state has a copy of the configuration; the constant that it is
-    initialised with is memory of its own, which may be read-only.
+    in_place: with ``solver`` instead of ``work``, for `zygos_solve_in_place()`. A capacity that is missing has its
+    default. The state has a copy of the configuration; the constant that it is initialised with is memory of its own,
+    which may be read-only.
     """
     needless = "work" if in_place else "solver"
     return {name: size for name, size in _sizes(tuple(sorted(capacities.items()))).items() if name != needless}
