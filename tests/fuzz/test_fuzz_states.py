@@ -21,7 +21,14 @@ def test_no_state_takes_the_library_out_of_its_memory(tmp_path: Path, seed: int,
     found = counts(program, seed, TRIES, 2)
     assert found["resumed"] + found["refused_state"] + found["refused_otherwise"] == TRIES
     assert (
-        min(found["resumed"], found["refused_state"], found["corrupt"], found["values"], found["configured"])
+        min(
+            found["resumed"],
+            found["refused_state"],
+            found["corrupt"],
+            found["values"],
+            found["configured"],
+            found["in_place"],
+        )
         > TRIES / 20
     )
     assert found["refused_otherwise"] > 0

@@ -915,3 +915,23 @@ def test_restart_keeps_what_the_motor_rows_know(keep: bool) -> None:
     sigma = flight.estimate().half95[arm.parameter_names.index("k1")]
     alone = fed(arm, rest).estimate().half95[arm.parameter_names.index("k1")]
     assert sigma < 0.7 * alone if keep else sigma == alone
+
+
+def test_a_cycle_of_encoders_apart_behind_the_first_one_is_a_gap(arm: Arm) -> None:
+    """One value in the window of the smoother is enough to lose it."""
+    run = balanced(arm, sines(arm, 3), chosen(arm))
+    run.theta[1, 0] = run.q[1, 0] + np.pi
+    flight = fed(arm, run)
+    assert (flight.counts["apart"], flight.counts["gaps"]) == (1, 1)
+
+
+def test_a_comparison_that_is_refused_writes_all_of_the_estimate(arm: Arm) -> None:
+    flight = fed(arm, balanced(arm, sines(arm, 200), chosen(arm)))
+    work, out, deviation = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("double[]", 256)
+    ffi.memmove(out, b"\xa5" * ffi.sizeof("zygos_estimate_t"), ffi.sizeof("zygos_estimate_t"))
+    lib.zygos_take(flight.native, work)
+    assert lib.zygos_detect_change(work, out, deviation) == 0
+    assert (out.validity, out.reason) == (lib.ZYGOS_REFUSED, lib.ZYGOS_REASON_NO_DATA)
+    assert (out.accepted, out.refused, out.since, out.arcs, out.rank, out.consecutive) == (0, 0, 0, 0, 0, 0)
+    assert list(out.left_out) == [0, 0, 0]
+    assert (out.condition, out.cluster, out.residual) == (0.0, 0.0, 0.0)

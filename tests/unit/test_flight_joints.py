@@ -559,3 +559,18 @@ def test_which_configurations_of_joint_rows_are_refused() -> None:
     ):
         change = lambda config, n=name, v=value: setattr(config.reduction[2], n, v)  # noqa: E731
         assert verdict(change) == lib.ZYGOS_E_REDUCTION, (name, value)
+
+
+@pytest.mark.parametrize("count", [-1.0, np.nan, np.inf, 1e300])
+def test_an_impossible_count_of_a_segment_is_refused(count: float) -> None:
+    """What is loaded may have any number there."""
+    known = random_ground(3, "spatial", 3000)
+    flight = Flight(known.arm)
+    flight.cycles(known.cycles(0))
+    arguments = [ffi.addressof(flight.native, name) for name in ("joint_sums", "config", "column_map")]
+    assert lib.zygos_joint_sums_intact(*arguments)
+    for segment in flight.native.joint_sums.segment:
+        for j in range(len(segment.count)):
+            kept, segment.count[j] = segment.count[j], count
+            assert not lib.zygos_joint_sums_intact(*arguments)
+            segment.count[j] = kept

@@ -532,3 +532,24 @@ def test_a_state_goes_on_with_its_running_solution(motion: Trajectory) -> None:
         setattr(flight.native.guard, member, wrong)
         assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_STATE
         setattr(flight.native.guard, member, right)
+
+
+def test_each_arc_is_compared_for_itself() -> None:
+    """What was summed over the blocks of the arc before is not in the limit of the next."""
+    arm = replace(arm_of(), arc_max_s=10.0, impulse_arc_s=0.0)
+    flight = Flight(arm)
+    cycles = seen(moved(arm, True), 0)
+    flight.cycles(part(cycles, 0, 900))
+    flight.estimate()
+    assert flight.adopt()
+    guard, sums, ends = flight.native.guard, flight.native.accumulator, []
+    for k in range(900, len(cycles)):
+        flight.cycles(part(cycles, k, k + 1))
+        blocks = [sums.block[place] for place in sums.order[0 : sums.open]]
+        newest = [block for block in blocks if block.end == blocks[-1].end]
+        if newest[0].end in ends or lib.zygos_accumulator_closing(ffi.addressof(sums)) or guard.compared == 0.0:
+            continue
+        ends.append(newest[0].end)
+        assert guard.compared == len(newest)
+        assert guard.share == pytest.approx(sum(block.instants**2 / block.square for block in newest), rel=1e-9)
+    assert len(ends) >= 2
