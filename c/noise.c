@@ -393,33 +393,30 @@ static void add(const uint8_t *place, uint32_t count, const double *x, const dou
     }
 }
 
-/* The columns of a list as parameters, with the work behind them. */
+/* Turns the columns of a list into parameters, with the work behind them. */
 static void reduce(const zygos_config_t *config, const zygos_column_map_t *column_map, const zygos_column_list_t *list,
-                   const double *x, double *z)
+                   double *x)
 {
     double columns[ZYGOS_MAX_COLUMNS + 1] = { 0.0 };
     for (uint32_t i = 0; i < list->count; i++) {
         columns[list->place[i]] = x[i];
     }
-    zygos_reduce(config, column_map, columns, z);
-    z[column_map->parameters] = columns[column_map->count];
+    zygos_reduce(config, column_map, columns, x);
+    x[column_map->parameters] = columns[column_map->count];
 }
 
 /* The same of the parameters: where a column may count for several, all of them change. */
 static void add_reduced(const zygos_config_t *config, const zygos_column_map_t *column_map,
-                        const zygos_column_list_t *list, const double *x, const double *y,
-                        const zygos_noise_target_t *target)
+                        const zygos_column_list_t *list, double *x, double *y, const zygos_noise_target_t *target)
 {
     const uint32_t count = column_map->parameters + 1u;
-    double reduced_x[ZYGOS_MAX_PARAMETERS + 1];
-    double reduced_y[ZYGOS_MAX_PARAMETERS + 1];
     uint8_t place[ZYGOS_MAX_PARAMETERS + 1];
     for (uint32_t i = 0; i < count; i++) {
         place[i] = (uint8_t)i;
     }
-    reduce(config, column_map, list, x, reduced_x);
-    reduce(config, column_map, list, y, reduced_y);
-    add(place, count, reduced_x, reduced_y, target);
+    reduce(config, column_map, list, x);
+    reduce(config, column_map, list, y);
+    add(place, count, x, y, target);
 }
 
 /* Clears the entries of x and y that a list names, for not all of them contain noise. Returns false where the list was

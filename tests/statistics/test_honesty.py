@@ -111,8 +111,10 @@ def sums_of(flight: Flight) -> list[tuple[int, int]]:
     p = len(flight.names)
     row, noise = 4 * (p + 2) * (p + 3), 4 * (p + 1) * (p + 2)
     at = ffi.offsetof("zygos_t", "accumulator")
-    out = [(at + ffi.offsetof("zygos_accumulator_t", name), noise) for name in ("noise", "noise_open", "noise_closed")]
     block, buffer = ffi.sizeof("zygos_block_t"), ffi.sizeof("zygos_row_buffer_t")
+    shares = ("noise_open", sums.parity), ("noise_open", sums.parity ^ 1), ("noise_closed", 0)
+    own = ffi.sizeof("zygos_noise_sums_t")
+    out = [(at + ffi.offsetof("zygos_accumulator_t", name) + n * own, noise) for name, n in shares]
     out += [(at + ffi.offsetof("zygos_accumulator_t", "block") + b * block, row) for b in range(sums.count)]
     out += [(at + ffi.offsetof("zygos_accumulator_t", "buffer") + b * buffer, row) for b in range(2)]
     at = ffi.offsetof("zygos_t", "motor_sums")
