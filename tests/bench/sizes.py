@@ -96,7 +96,12 @@ def main() -> None:
     write_text(manual, ROW.sub(row, manual.read_text()))
     small, large = total(sizes(*PLANAR)), total(sizes("MAX_JOINTS=7"))
     text = re.sub(r"take \d+ kB at -DZYGOS", f"take {small / 1000:.0f} kB at -DZYGOS", readme.read_text())
-    write_text(readme, re.sub(r"(estimate, take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", text))
+    text = re.sub(r"(estimate, take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", text)
+    two, three, seven = (in_place(sizes(*usual, *fewest)) for _, _, usual, fewest in BUILDS)
+    said = (
+        f"takes {two / 1000:.0f} kB for two joints, {three / 1000:.0f} kB for three and {seven / 1e6:.1f} MB for seven"
+    )
+    write_text(readme, re.sub(r"takes \d+ kB for two joints, \d+ kB for three and [\d.]+ MB for seven", said, text))
     text = re.sub(r"(joints take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", cost.read_text())
     before, _, rest = text.partition(BEGIN)
     write_text(cost, before + BEGIN + "\n" + profile() + "\n" + END + rest.partition(END)[2])
