@@ -99,9 +99,9 @@ def main() -> None:
     text = re.sub(r"(estimate, take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", text)
     two, three, seven = (in_place(sizes(*usual, *fewest)) for _, _, usual, fewest in BUILDS)
     said = (
-        f"takes {two / 1000:.0f} kB for two joints, {three / 1000:.0f} kB for three and {seven / 1e6:.1f} MB for seven"
+        f"takes {two / 1000:.0f} kB for two joints, {three / 1000:.0f} kB for three and {seven / 1e6:.1f} MB\nfor seven"
     )
-    write_text(readme, re.sub(r"takes \d+ kB for two joints, \d+ kB for three and [\d.]+ MB for seven", said, text))
+    write_text(readme, re.sub(r"takes \d+ kB for two joints, \d+ kB for three and [\d.]+ MB\nfor seven", said, text))
     text = re.sub(r"(joints take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", cost.read_text())
     before, _, rest = text.partition(BEGIN)
     write_text(cost, before + BEGIN + "\n" + profile() + "\n" + END + rest.partition(END)[2])
