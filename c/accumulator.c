@@ -12,6 +12,8 @@
 /* The newest blocks of the open arc that may still be added to: two of the open segment, and one of the segment before,
    whose last rows may wait in a buffer. */
 #define IN_USE 3u
+/* Additions to the noise in an instant: each sensor by itself, and the rounding is alike as long as the arm rests. */
+#define NOISE_ADDS 8.0
 
 _Static_assert(ZYGOS_MIN_BLOCKS + 2u + ZYGOS_SPARE_BLOCKS <= ZYGOS_MAX_BLOCKS,
                "an arc that begins needs two blocks while another one is closing");
@@ -526,7 +528,8 @@ static void proceed_verify_noise(zygos_accumulator_t *self)
     if (!task_ends(self, end)) {
         return;
     }
-    if (zygos_gram_scanned(&self->scan, noise->gram, rows, noise->sum, (double)self->closing_instants) > 1.0) {
+    if (zygos_gram_scanned(&self->scan, noise->gram, rows, noise->sum, NOISE_ADDS * (double)self->closing_instants) >
+        1.0) {
         self->whole = 0;
         begin_task(self, ZYGOS_TASK_NONE, 0);
     } else {
@@ -648,24 +651,25 @@ static void leave_out(zygos_accumulator_t *self)
 static void proceed_admit(zygos_accumulator_t *self)
 {
     zygos_noise_sums_t *open = &self->noise_open[self->parity ^ 1u];
-    const double factor = ((self->admitted != 0) ? 1.0 : 0.0) / self->noise_fade;
+    const bool admitted = (self->admitted != 0);
+    const double factor = 1.0 / self->noise_fade;
     const uint32_t rows = self->width - 1u;
     if ((self->noisy != 0) && (self->row < self->width)) {
         const uint32_t end = zygos_accumulator_part(self);
         const uint32_t last = (end < rows) ? end : rows;
         for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(last); k++) {
-            self->noise_closed.gram[k] += factor * open->gram[k];
+            self->noise_closed.gram[k] += admitted ? factor * open->gram[k] : 0.0; /* it may be no number */
             open->gram[k] = 0.0;
         }
         self->row = end;
         return;
     }
     for (uint32_t i = 0; i < rows; i++) {
-        self->noise_closed.sum[i] += factor * open->sum[i];
+        self->noise_closed.sum[i] += admitted ? factor * open->sum[i] : 0.0;
         open->sum[i] = 0.0;
     }
     judge(self);
-    if (self->admitted != 0) {
+    if (admitted) {
         admit(self);
     } else {
         leave_out(self);
@@ -1169,7 +1173,8 @@ bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t paramete
 {
     const bool is_open = (self->count > self->fresh);
     bool good = (parameters <= (uint32_t)ZYGOS_MAX_PARAMETERS) && (self->width == parameters + 2u) &&
-                are_places_possible(self) && zygos_accumulator_steady(self) && is_count(self->segment) &&
+                are_places_possible(self) && zygos_accumulator_steady(self) &&
+                (self->twin == ZYGOS_ACCUMULATOR_TWIN(self)) && is_count(self->segment) &&
                 (is_open || !(self->segment > 0.0)) && (self->target >= 1.0) && is_count(self->target) &&
                 (!is_open || ((self->length >= 1.0) && is_count(self->length))) && is_factor(self->noise_fade) &&
                 (self->noise_fade > 0.0) && (self->rank >= self->open || self->fresh == self->open) &&
@@ -1189,7 +1194,7 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
         const zygos_block_t *block = zygos_accumulator_at(self, r);
         whole = whole && (block->checksum == 0) && is_count(block->instants);
     }
-    const double adds = (double)self->accepted;
+    const double adds = NOISE_ADDS * (double)self->accepted;
     for (uint32_t b = 0; whole && (b < ZYGOS_ROW_BUFFERS); b++) {
         whole = is_count(self->buffer[b].instants);
     }
@@ -1249,8 +1254,8 @@ bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
     if (((self->checksum != checksum_of(self)) && !repair(self)) || (self->corrupt == 1u) ||
         (self->width != parameters + 2u) || !are_places_possible(self) || !(self->target >= 1.0) ||
         !is_factor(self->noise_fade) || !(self->noise_fade > 0.0) ||
-        !(zygos_gram_check(self->noise_closed.gram, self->width - 1u, self->noise_closed.sum, (double)self->accepted) <=
-          1.0)) {
+        !(zygos_gram_check(self->noise_closed.gram, self->width - 1u, self->noise_closed.sum,
+                           NOISE_ADDS * (double)self->accepted) <= 1.0)) {
         return false;
     }
     self->corrupt = 0;
@@ -1304,7 +1309,8 @@ double zygos_accumulator_check(const zygos_accumulator_t *self)
     double worst = ((self->corrupt != 0) || (self->checksum != checksum_of(self))) ? 2.0 : 0.0;
     const zygos_noise_sums_t *shares[3] = { &self->noise_open[0], &self->noise_open[1], &self->noise_closed };
     for (uint32_t s = 0; s < 3; s++) {
-        const double here = zygos_gram_check(shares[s]->gram, self->width - 1u, shares[s]->sum, (double)self->accepted);
+        const double adds = NOISE_ADDS * (double)self->accepted;
+        const double here = zygos_gram_check(shares[s]->gram, self->width - 1u, shares[s]->sum, adds);
         worst = (here > worst) ? here : worst;
     }
     for (uint32_t r = 0; r < self->count; r++) {

@@ -6,6 +6,7 @@
 
 _Static_assert((ZYGOS_MOMENTUM == 0) || (ZYGOS_MIN_ARCS < ZYGOS_MAX_MOMENTUM_BLOCKS),
                "an arc that closes needs a block");
+_Static_assert(ZYGOS_MAX_MOMENTUM_ROW <= ZYGOS_MAX_ANY_ROW, "the scan has room for each row");
 
 #define COUNTED 1e-9 /* counts add up exactly */
 #define MOST_COMPONENTS 3u
@@ -175,13 +176,17 @@ static bool is_factor(double fade)
     return (fade >= 0.0) && (fade <= 1.0);
 }
 
+static bool is_of_closing_arc(uint32_t task)
+{
+    return (task >= (uint32_t)ZYGOS_MOMENTUM_VERIFY_ROWS) && (task <= (uint32_t)ZYGOS_MOMENTUM_ADMIT);
+}
+
 bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
 {
     return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) &&
            (self->row <= width_of(self)) && (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
            (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
-           ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->closing_cycles == 0)) &&
-           (self->twin == ZYGOS_MOMENTUM_TWIN(self));
+           (is_of_closing_arc(self->task) == (self->closing_cycles > 0)) && (self->twin == ZYGOS_MOMENTUM_TWIN(self));
 }
 
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
@@ -415,10 +420,10 @@ static void admit(zygos_momentum_sums_t *self)
     const uint32_t part = zygos_momentum_sums_part(self);
     const uint32_t end = (part < self->columns) ? part : self->columns;
     const bool admitted = (self->admitted != 0);
-    const double factor = (admitted ? 1.0 : 0.0) / self->noise_fade;
+    const double factor = 1.0 / self->noise_fade;
     zygos_momentum_gram_t *noise = &ZYGOS_MOMENTUM_NOISE_CLOSING(self);
     for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
-        self->noise_closed.gram[k] += factor * noise->gram[k];
+        self->noise_closed.gram[k] += admitted ? factor * noise->gram[k] : 0.0; /* what is rejected may be no number */
         noise->gram[k] = 0.0;
     }
     self->row = end;
@@ -426,7 +431,7 @@ static void admit(zygos_momentum_sums_t *self)
         return;
     }
     for (uint32_t i = 0; i < self->columns; i++) {
-        self->noise_closed.sum[i] += factor * noise->sum[i];
+        self->noise_closed.sum[i] += admitted ? factor * noise->sum[i] : 0.0;
         noise->sum[i] = 0.0;
     }
     judge(self);
@@ -593,10 +598,12 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
     for (uint32_t tries = 0; (tries < 4u * (uint32_t)ZYGOS_MOMENTUM_PLACES) && changes_blocks(self); tries++) {
         proceed_with_blocks(self);
     }
-    if ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) && (ZYGOS_MOMENTUM_CLOSING(self).end > cycle)) {
+    judge(self);
+    /* Numbers of cycles may have begun anew; the closing arc stands behind the last block that is kept. */
+    const bool drops = (self->count > 0) && (self->block[self->count - 1u].end > cycle);
+    if ((self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) && (drops || (ZYGOS_MOMENTUM_CLOSING(self).end > cycle))) {
         leave_closing_out(self);
     }
-    judge(self);
     const double before = closed_instants(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;

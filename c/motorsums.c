@@ -4,6 +4,7 @@
 
 #include <string.h>
 
+_Static_assert(ZYGOS_MAX_IMPULSE + 1 <= ZYGOS_MAX_ANY_ROW, "a scan has room for each row");
 _Static_assert(ZYGOS_MIN_ARCS < ZYGOS_MAX_MOTOR_BLOCKS, "an arc that closes needs a block");
 
 #define COUNTED 1e-9 /* counts add up exactly */

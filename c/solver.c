@@ -1463,9 +1463,7 @@ static void give_back(zygos_solver_t *work)
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         memset(sums->buffer[b].gram, 0, sizeof sums->buffer[b].gram);
     }
-    for (uint32_t n = 0; n < 2u; n++) {
-        memset(sums->noise_open[n].gram, 0, sizeof sums->noise_open[n].gram);
-    }
+    memset(sums->noise_open, 0, sizeof sums->noise_open);
 }
 
 /* Repeats the solution without old arcs where they may be bad. */

@@ -29,15 +29,15 @@ void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum);
 /// Returns the largest violation of G 1 = sum in units of a row's tolerance, at most 2; above 1 means corrupt. The
 /// tolerance is (64 width + adds) eps times the largest entry that the row has or could have by its diagonal, because
 /// columns differ in size by orders of magnitude and every addition rounds. adds: the number of additions, or more.
-/// width: at most ZYGOS_MAX_ROW.
+/// width: at most ZYGOS_MAX_ANY_ROW.
 double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds);
 
 /// The same in parts. Scan the rows from first to before end, in order; the scan is all zero before the first.
 /// zygos_gram_scanned() returns what zygos_gram_check() does.
 typedef struct {
-    double sum[ZYGOS_MAX_ROW];  ///< Row sums of the rows so far.
-    double most[ZYGOS_MAX_ROW]; ///< The largest magnitude in each row.
-    double largest;             ///< In all of them.
+    double sum[ZYGOS_MAX_ANY_ROW];  ///< Row sums of the rows so far.
+    double most[ZYGOS_MAX_ANY_ROW]; ///< The largest magnitude in each row.
+    double largest;                 ///< In all of them.
 } zygos_gram_scan_t;
 void zygos_gram_scan(zygos_gram_scan_t *scan, const double *gram, uint32_t first, uint32_t end);
 double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uint32_t width, const double *sum,

@@ -110,7 +110,7 @@ void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config);
 
 /// Returns whether a cycle addresses nothing outside the struct, once the tables are verified, and the closing arc is
-/// where it was. Cost: five comparisons.
+/// where it was. Cost: a few comparisons.
 bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self);
 
 /// Clears the sums. Needs the tables.
@@ -160,7 +160,7 @@ void zygos_momentum_sums_apply_fade(zygos_momentum_sums_t *self);
 /// of two arcs.
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);
 
-/// Drops the blocks up to the given cycle and their share of the noise, and returns their number.
+/// Drops the blocks up to the given cycle and their share of the noise, and returns their number. Needs finished tasks.
 uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Drops each block that does not match its row sums or its checksum, and the open arc where its sums do not match;

@@ -230,7 +230,7 @@ bool zygos_work_intact(zygos_work_t *work);
 /// both sides of the comparison share systematic errors), and into deviation[ZYGOS_MAX_PARAMETERS] the difference of
 /// the newest arc's own values from it, in standard deviations of the difference (from half95). There must be
 /// ZYGOS_CHANGE_MIN_BLOCKS blocks before the newest arc; a build with ZYGOS_MAX_BLOCKS of 32 or more keeps these, a
-/// build with 8 never has them.
+/// build with 11 never has them.
 ///
 /// A deviation of ZYGOS_CHANGE_ALARM or more is a change of the arm where the balance closes on both sides (validity
 /// ZYGOS_VALID). Where it does not close on one side (ZYGOS_DOUBTFUL with ZYGOS_REASON_UNCLOSED; cluster is the larger

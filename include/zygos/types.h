@@ -170,6 +170,18 @@ extern "C" {
 /// The length of a row that is augmented by the work and by 1.
 #define ZYGOS_MAX_ROW (ZYGOS_MAX_PARAMETERS + 2)
 #define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
+/// The length of the longest row of any kind: those of the momentum are augmented by three constants, and have columns
+/// that a reduced energy row may lack; those of a motor have at most twelve entries.
+#if (ZYGOS_MOMENTUM != 0) && (ZYGOS_MAX_BODY + ZYGOS_MAX_JOINTS + 3 > ZYGOS_MAX_ROW)
+#define ZYGOS_MAX_LONG_ROW (ZYGOS_MAX_BODY + ZYGOS_MAX_JOINTS + 3)
+#else
+#define ZYGOS_MAX_LONG_ROW ZYGOS_MAX_ROW
+#endif
+#if ZYGOS_MAX_LONG_ROW > 12
+#define ZYGOS_MAX_ANY_ROW ZYGOS_MAX_LONG_ROW
+#else
+#define ZYGOS_MAX_ANY_ROW 12
+#endif
 /// The length of a row that is augmented by the work alone, because 1 contains no noise.
 #define ZYGOS_MAX_NOISE_ROW (ZYGOS_MAX_PARAMETERS + 1)
 #define ZYGOS_MAX_PACKED_NOISE (ZYGOS_MAX_NOISE_ROW * (ZYGOS_MAX_NOISE_ROW + 1) / 2)

@@ -105,14 +105,14 @@ typedef struct {
 /// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
 /// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0x453F5A52u
+#define ZYGOS_LAYOUT 0x42A97703u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
-/// Identifies the memory layout, the same on processors of 32 and of 64 bits: zygos_solver_t, which has pointers, is in
-/// no snapshot and does not count. It differs between builds whose structs differ in their text, by their capacities or
-/// by the compiler. The caller writes it into zygos_config_t.abi, and zygos_init() compares it with that of the
-/// library. It is also in the head of a snapshot.
+/// Identifies the memory layout, the same on processors of 32 and of 64 bits: of zygos_solver_t, which has pointers and
+/// is in no snapshot, the text counts and not the size. It differs between builds whose structs differ in their text,
+/// by their capacities or by the compiler. The caller writes it into zygos_config_t.abi, and zygos_init() compares it
+/// with that of the library. It is also in the head of a snapshot.
 #define ZYGOS_ABI                                                                                                      \
     ZYGOS_MIX(                                                                                                         \
         ZYGOS_MIX(ZYGOS_MIX(ZYGOS_ABI_SIZES, ZYGOS_MAX_JOINTS), ZYGOS_VERSION_MAJOR * 256 + ZYGOS_VERSION_MINOR),      \
@@ -176,9 +176,11 @@ int zygos_end_arcs(zygos_t *self);
 void zygos_take(const zygos_t *self, zygos_work_t *work);
 
 /// Solves like zygos_take() and zygos_solve(), but without a copy of the sums: for memory that does not hold a
-/// zygos_work_t. The open arcs end (zygos_end_arcs()), the normal equations lie in buffers of *self until the call
-/// returns, and no other function may be called on *self until then but zygos_frame(): cycles wait in the queue, and
-/// those beyond its length are lost and counted. Call it where the arm rests or the motion has ended, not more often
+/// zygos_work_t. The open arcs end (zygos_end_arcs()), also where nothing is solved afterwards; with a forgetting
+/// factor the sums of closed arcs fade then as at every end of an arc. The normal equations lie in buffers of *self
+/// until the call returns, and no other function may be called on *self until then but zygos_frame(): cycles wait in
+/// the queue, and those beyond its length are lost and counted. A state that a reset has left in the middle must be
+/// initialised anew, or resumed from a snapshot. Call it where the arm rests or the motion has ended, not more often
 /// than arcs would end. An arc that does not match its row sums is dropped and counted, and the others are solved. Call
 /// it in the task of zygos_step(). Returns what zygos_solve() returns, or what zygos_end_arcs() does where that is
 /// negative. Cost: that of zygos_end_arcs() and of zygos_solve().

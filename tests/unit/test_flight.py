@@ -918,11 +918,12 @@ def test_restart_keeps_what_the_motor_rows_know(keep: bool) -> None:
 
 
 def test_a_cycle_of_encoders_apart_behind_the_first_one_is_a_gap(arm: Arm) -> None:
-    """One value in the window of the smoother is enough to lose it."""
-    run = balanced(arm, sines(arm, 3), chosen(arm))
-    run.theta[1, 0] = run.q[1, 0] + np.pi
+    """One value in the window of the smoother is enough to lose it; no angle has passed the end of its range."""
+    run = balanced(arm, sines(arm, 2), chosen(arm))
+    run.q[1, 0] += 9.0 * np.pi
+    run.theta[1, 0] -= 9.0 * np.pi
     flight = fed(arm, run)
-    assert (flight.counts["apart"], flight.counts["gaps"]) == (1, 1)
+    assert (flight.counts["wraps"], flight.counts["apart"], flight.counts["gaps"]) == (0, 1, 1)
 
 
 def test_a_comparison_that_is_refused_writes_all_of_the_estimate(arm: Arm) -> None:

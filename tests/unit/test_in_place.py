@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -191,3 +192,34 @@ def test_an_open_arc_that_does_not_match_is_dropped_and_the_others_are_solved() 
     assert answer == 1
     assert sums.quarantined == 1
     assert out.validity == lib.ZYGOS_VALID
+
+
+def _energy_noise(native: Any) -> Any:
+    return native.accumulator.noise_open[native.accumulator.parity].gram
+
+
+def _momentum_noise(native: Any) -> Any:
+    return native.momentum_sums.noise_arc[native.momentum_sums.parity].gram
+
+
+@pytest.mark.parametrize("noise", [_energy_noise, _momentum_noise])
+@pytest.mark.parametrize("value", [np.inf, np.nan])
+def test_noise_that_is_no_number_costs_one_arc(noise: Callable[[Any], Any], value: float) -> None:
+    """What is rejected is not added with a factor of 0, which would be no number either."""
+    flight = again("spatial", len(run("spatial")[1]) - 100)
+    noise(flight.native)[4] = value
+    answer, out = in_place(flight)
+    assert answer == 1
+    assert REASONS[out.reason] != REASONS[lib.ZYGOS_REASON_CORRUPT]
+    assert flight.native.accumulator.quarantined + flight.native.momentum_sums.quarantined == 1
+    config = ffi.new("zygos_config_t *", flight.native.config)
+    assert lib.zygos_scrub(flight.native, config) == lib.ZYGOS_SCRUBBED_BLOCKS
+    assert lib.zygos_scrub(flight.native, config) == 0
+
+
+def test_noise_of_the_wrong_arc_is_not_resumed() -> None:
+    flight = again("planar")
+    flight.native.accumulator.parity ^= 1
+    own = ffi.new("zygos_config_t *", flight.native.config)
+    assert lib.zygos_resume(flight.native, own) == lib.ZYGOS_E_STATE
+    assert in_place(flight)[0] == lib.ZYGOS_E_STATE

@@ -100,8 +100,8 @@ def blocks(flight: Flight, kind: str) -> list[tuple[str, Any]]:
     sums = getattr(flight.native, kind)
     if kind != "accumulator":
         listed = [(f"{kind}.block[{b}]", sums.block[b]) for b in (0, sums.count // 2, sums.count - 1)]
-        name = "open" if kind == "motor_sums" else f"arc[{sums.parity}]"
-        return [*listed, (f"{kind}.{name}", sums.open if kind == "motor_sums" else sums.arc[sums.parity])]
+        name = "open" if kind == "motor_sums" else "arc"
+        return [*listed, (f"{kind}.{name}", getattr(sums, name))]
     ranks = (0, sums.open // 2, sums.open - 1, sums.fresh, sums.fresh + 1, sums.count - 1)
     return [(f"{kind}.block[{sums.order[r]}]", sums.block[sums.order[r]]) for r in ranks]
 
@@ -281,13 +281,13 @@ def _motor_turns(sums: Any, off: float) -> None:
 
 def _momentum_counted(sums: Any, off: float) -> None:
     width = sums.columns + 1
-    rows = sums.arc[sums.parity].rows
+    rows = sums.arc.rows
     rows.gram[width * (width + 1) // 2 - 1] += off
     rows.sum[width - 1] += off
 
 
 def _momentum_sum(sums: Any, off: float) -> None:
-    sums.arc[sums.parity].rows.gram[4] += off
+    sums.arc.rows.gram[4] += off
 
 
 DAMAGE = (

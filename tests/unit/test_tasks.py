@@ -20,7 +20,7 @@ from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 
-CENTRE, ADMIT, MOMENTUM_ADMIT = 4, 6, 5
+CENTRE, ADMIT, MOMENTUM_ELIMINATE, MOMENTUM_ADMIT = 4, 6, 3, 5
 ARCS = 40
 SEEDS = 40
 
@@ -374,6 +374,39 @@ def test_what_tells_the_two_arcs_of_momentum_rows_apart_is_twofold(arm: Arm, mot
     assert scrubbed(flight) == lib.ZYGOS_SCRUBBED_PLACES | (0 if known else lib.ZYGOS_SCRUBBED_BLOCKS)
     assert lib.zygos_cycle(flight.native, native) == 1
     assert intact(flight)
+
+
+@pytest.mark.parametrize("bit", range(3))
+def test_a_task_of_momentum_rows_without_a_closing_arc_is_found(arm: Arm, motion: Cycles, bit: int) -> None:
+    """Where no arc is closing, its place has what is left of another one, which would be admitted again."""
+    flight = Flight(with_all_rows(arm))
+    momentum = flight.native.momentum_sums
+    for k in range(len(motion)):
+        flight.cycles(part(motion, k, k + 1))
+        if momentum.count >= 2 and momentum.task == 0 and momentum.closing_cycles == 0:
+            break
+    before = [momentum.block[b].instants for b in range(momentum.count)]
+    momentum.task ^= 1 << bit
+    assert lib.zygos_cycle(flight.native, cycles_to_native(part(motion, k + 1, k + 2))) == lib.ZYGOS_E_STATE
+    assert scrubbed(flight) & lib.ZYGOS_SCRUBBED_PLACES
+    assert [momentum.block[b].instants for b in range(momentum.count)] == before
+    assert intact(flight)
+
+
+def test_blocks_behind_which_an_arc_closes_are_dropped_with_it(arm: Arm, motion: Cycles) -> None:
+    """Numbers of cycles may begin anew, so that the closing arc has a smaller one than the blocks before it."""
+    flight = Flight(with_all_rows(arm))
+    momentum = flight.native.momentum_sums
+    for k in range(len(motion)):
+        flight.cycles(part(motion, k, k + 1))
+        if momentum.count >= 2 and momentum.task == MOMENTUM_ELIMINATE:
+            break
+    end = momentum.block[momentum.count].end
+    momentum.block[momentum.count - 1].end = end + 1000
+    count = momentum.count
+    lib.zygos_momentum_sums_drop_after(ffi.addressof(momentum), end)
+    assert (momentum.count, momentum.task, momentum.closing_cycles) == (count - 1, 0, 0)
+    assert lib.zygos_momentum_sums_steady(ffi.addressof(momentum))
 
 
 @pytest.mark.parametrize("task", range(1, 6))
