@@ -250,6 +250,8 @@ def test_a_missing_file_of_laws_is_refused(tmp_path: Path) -> None:
     ("name", "wrong", "message"),
     [
         ("fixed rigid", effect("base_torque", component="x"), "the base of arm random is fixed"),
+        ("fixed rigid", effect("gravity_gradient"), "the base of arm random is fixed"),
+        ("planar free flexible", effect("gravity_gradient"), "moves in a plane"),
         ("fixed rigid", effect("backlash", "joint1", shape=1e-3), "the joint is rigid"),
         ("fixed rigid", effect("motor_zero", "joint1"), "has one encoder"),
         ("planar free flexible", effect("gyro_misalignment"), "moves in a plane"),

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import across
+from zygos.balances.kinematics import posture
 from zygos.dynamics.joints import START, Drives, Moment
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.serial import SpatialDynamics
@@ -136,9 +137,9 @@ class Stepper:
 
     @classmethod
     def of(cls, dynamics: Drives) -> Stepper | None:
-        """None where the compiled code does not know the arm: a change of bodies, laws that it does not have, equations
-        by another engine."""
-        if not isinstance(dynamics, Planar | Multibody) or dynamics.later is not None:
+        """None where the compiled code does not know the arm: a change of bodies, a gravity gradient, laws that it does
+        not have, equations by another engine."""
+        if not isinstance(dynamics, Planar | Multibody) or dynamics.later is not None or dynamics.gradient:
             return None
         known = all(law.kind.law in COMPILED for law in (*dynamics.laws, *dynamics.base_laws))
         return cls(dynamics) if known else None
@@ -206,6 +207,9 @@ class Multibody(SpatialDynamics):
             state[..., 3 + k * n : 3 + (k + 1) * n] = part
         pushing = self._base_torque(q, omega0, moment)
         state[..., 3 + 6 * n :] = 0.0 if pushing is None or not self.arm.free else pushing
+        if self.gradient and (pulling := self._pull(posture(self.arm, q), moment)) is not None:
+            state[..., 3 + 5 * n : 3 + 6 * n] += pulling.joints
+            state[..., 3 + 6 * n :] += pulling.base
         native, size, _ = self.compiled
         result = np.empty((*batch, 3 + 2 * n))
         lib.zygos_multibody_accelerations(

@@ -342,8 +342,8 @@ def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Stud
         record, exact = study.records[k], study.twins[k].exact
         own = arcs[k]
         records.append(replace(record, starts=record.starts[own]))
-        time, turned = (x if x is None else x[own] for x in (exact.time, exact.turned))
-        read = Readings(exact.q[own], exact.theta[own], exact.omega0[own], exact.tau[own], time, turned)
+        known = (x if x is None else x[own] for x in (exact.time, exact.turned, exact.nadir))
+        read = Readings(exact.q[own], exact.theta[own], exact.omega0[own], exact.tau[own], *known)
         twins.append(replace(study.twins[k], exact=read))
     accepted = tuple(study.accepted[k][arcs[k]] for k in kept)
     applied = study.applied[kept]
@@ -559,6 +559,8 @@ def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str, sensors: Se
         return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[one.joint])
     if one.kind.place == "rotor":
         return float(dynamics.coupling[one.joint] * dynamics.rotor_inertia[one.joint])
+    if one.kind.place == "field":
+        return dynamics.gradient
     if one.kind.place == "sensor":
         return sum(effect.value for effect in sensors if effect.column(arm) == one.plain)
     number = one.kind.components(arm).index(one.component)
