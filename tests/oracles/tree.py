@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from oracles.hidden import Law, Motion, Now
+from oracles.hidden import Law, Motion, Now, TidalField
 from zygos.arm import Arm
 from zygos.model.model import Body, Model
 from zygos.simulation.scenario import Scenario
@@ -164,8 +164,23 @@ class TreePlant:
         elif law.place == "spring":
             assert i in self.soft, "a rigid joint has no spring"
             out[self.link[i]], out[self.rotor[i]] = 1.0, -1.0 / self.ratio[i]
-        else:
+        elif law.place == "base":
             out[5 if self.arm.spatial else 2] = 1.0
+        return out
+
+    def tide(self, data: mujoco.MjData, law: TidalField) -> Array:
+        """(nv,) what the Earth's gravity does to every body beside the acceleration of the mass centre: a force at its
+        own mass centre, and the torque that turns its long axis towards the Earth."""
+        tree, out = self.model, np.zeros(self.model.nv)
+        earth, rate = np.array(law.nadir), law.size / 3.0
+        mass = tree.body_mass[1:]
+        centre = mass @ data.xipos[1:] / mass.sum()
+        for body in range(1, tree.nbody):
+            place = data.xipos[body] - centre
+            force = tree.body_mass[body] * rate * (3.0 * earth * (earth @ place) - place)
+            turn = data.ximat[body].reshape(3, 3)
+            torque = 3.0 * rate * np.cross(earth, turn @ (tree.body_inertia[body] * (turn.T @ earth)))
+            mujoco.mj_applyFT(tree, data, force, torque, data.xipos[body], body, out)
         return out
 
     def step_s(self, laws: Sequence[Law]) -> float:
@@ -240,6 +255,9 @@ class TreePlant:
             if laws:
                 base = of_base(state)
                 for law, along in zip(laws, directions, strict=True):
+                    if isinstance(law, TidalField):
+                        state.qfrc_passive += self.tide(state, law)
+                        continue
                     state.qfrc_passive += law.torque(now(law, state, tau, angles, base)) * along
 
         needs_callback = bool(laws) or follow is not None
