@@ -169,19 +169,15 @@ class TreePlant:
         return out
 
     def tide(self, data: mujoco.MjData, law: TidalField) -> Array:
-        """(nv,) what the Earth's gravity does to every body beside the acceleration of the mass centre: a force at its
-        own mass centre, and the torque that turns its long axis towards the Earth."""
-        tree, out = self.model, np.zeros(self.model.nv)
-        earth, rate = np.array(law.nadir), law.size / 3.0
-        mass = tree.body_mass[1:]
-        centre = mass @ data.xipos[1:] / mass.sum()
-        for body in range(1, tree.nbody):
-            place = data.xipos[body] - centre
-            force = tree.body_mass[body] * rate * (3.0 * earth * (earth @ place) - place)
-            turn = data.ximat[body].reshape(3, 3)
-            torque = 3.0 * rate * np.cross(earth, turn @ (tree.body_inertia[body] * (turn.T @ earth)))
-            mujoco.mj_applyFT(tree, data, force, torque, data.xipos[body], body, out)
-        return out
+        """(bodies, 6) what the Earth's gravity does to every body beside the acceleration of the mass centre: a force
+        at its own mass centre, and the torque that turns its long axis towards the Earth; world axes."""
+        tree, earth, rate = self.model, np.array(law.nadir), law.size / 3.0
+        place = data.xipos - tree.body_mass @ data.xipos / tree.body_mass.sum()
+        force = rate * tree.body_mass[:, None] * (3.0 * np.outer(place @ earth, earth) - place)
+        turn = data.ximat.reshape(-1, 3, 3)
+        along = tree.body_inertia * (earth @ turn)
+        torque = 3.0 * rate * np.cross(earth, (turn @ along[..., None])[..., 0])
+        return np.concatenate([force, torque], axis=1)
 
     def step_s(self, laws: Sequence[Law]) -> float:
         """Integration step that the stiffest friction allows, a whole part of the period."""
@@ -256,7 +252,7 @@ class TreePlant:
                 base = of_base(state)
                 for law, along in zip(laws, directions, strict=True):
                     if isinstance(law, TidalField):
-                        state.qfrc_passive += self.tide(state, law)
+                        state.xfrc_applied[:] = self.tide(state, law)
                         continue
                     state.qfrc_passive += law.torque(now(law, state, tau, angles, base)) * along
 
