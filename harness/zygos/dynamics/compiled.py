@@ -137,9 +137,9 @@ class Stepper:
 
     @classmethod
     def of(cls, dynamics: Drives) -> Stepper | None:
-        """None where the compiled code does not know the arm: a change of bodies, a gravity gradient, laws that it does
-        not have, equations by another engine."""
-        if not isinstance(dynamics, Planar | Multibody) or dynamics.later is not None or dynamics.gradient:
+        """None where the compiled code does not know the arm: a change of bodies, laws that it does not have, equations
+        by another engine."""
+        if not isinstance(dynamics, Planar | Multibody) or dynamics.later is not None:
             return None
         known = all(law.kind.law in COMPILED for law in (*dynamics.laws, *dynamics.base_laws))
         return cls(dynamics) if known else None
@@ -150,8 +150,10 @@ class Stepper:
         width = state.shape[1] - 4 * n
         after = np.array(state, dtype=np.float64, order="C")
         held = np.ascontiguousarray(np.broadcast_to(torque, (len(state), n)))
-        clock = np.empty((len(state), 2))
+        clock = np.zeros((len(state), 5))
         clock[:, 0], clock[:, 1] = now.time, now.angle
+        if now.nadir is not None:
+            clock[:, 2:] = now.nadir
         lib.zygos_multibody_advance(
             self._arm,
             len(state),
@@ -159,6 +161,7 @@ class Stepper:
             self._spring,
             self._laws,
             len(self._laws),
+            0.0 if now.nadir is None else self._dynamics.gradient,
             ffi.from_buffer("double[]", held),
             step_s,
             steps,
@@ -166,7 +169,8 @@ class Stepper:
             ffi.from_buffer("double[]", clock),
             self._scratch,
         )
-        return after, replace(now, time=clock[:, 0], angle=clock[:, 1])
+        nadir = None if now.nadir is None else clock[:, 2:]
+        return after, replace(now, time=clock[:, 0], angle=clock[:, 1], nadir=nadir)
 
 
 @dataclass(frozen=True, kw_only=True)
