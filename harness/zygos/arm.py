@@ -1036,17 +1036,22 @@ def save_arm(arm: Arm, path: str | Path) -> None:
         if arm.smoother.cutoff_hz is None
         else {"cutoff_hz": arm.smoother.cutoff_hz}
     )
-    arc = {"max_s": arm.arc_max_s, "impulse_max_s": arm.impulse_arc_s}
-    if arm.momentum_max_s is not None:
-        arc["momentum_max_s"] = arm.momentum_max_s
-    if arm.memory_s is not None:
-        arc["memory_min"] = arm.memory_s / 60.0
-    document["arc"] = arc
+    document["arc"] = _arc_entry(arm)
     if arm.joint_increment_s is not None:
         document["joint_rows"] = {"increment_s": arm.joint_increment_s}
     if arm.compensate_every is not None:
         document["compensation"] = {"every": arm.compensate_every}
     write_text(Path(path), tomlkit.dumps(document))
+
+
+def _arc_entry(arm: Arm) -> dict[str, float]:
+    """The table [arc] as `read_arm` reads it."""
+    arc = {"max_s": arm.arc_max_s, "impulse_max_s": arm.impulse_arc_s}
+    if arm.momentum_max_s is not None:
+        arc["momentum_max_s"] = arm.momentum_max_s
+    if arm.memory_s is not None:
+        arc["memory_min"] = arm.memory_s / 60.0
+    return arc
 
 
 def _encoder_entry(encoder: Encoder, gear_ratio: float | None = None) -> Any:

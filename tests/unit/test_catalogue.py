@@ -268,6 +268,16 @@ def test_what_an_arm_cannot_have_is_refused(name: str, wrong: Effect, message: s
         equations(arm, replace(model, effects=(wrong,)))
 
 
+def test_a_gravity_gradient_needs_an_arm_that_knows_where_the_earth_is() -> None:
+    arm, model, _ = arm_of("spatial free flexible")
+    wrong = replace(model, effects=(effect("gravity_gradient", value=1e-6),))
+    equations(arm, wrong)
+    lost = replace(arm, nadir=None)
+    assert not columns_at(lost, CATALOGUE["gravity_gradient"])
+    with pytest.raises(ZygosError, match=r"does not say where the Earth is; remedy: .*state nadir in the arm file"):
+        equations(lost, wrong)
+
+
 @pytest.mark.parametrize("key", [key for key, kind in CATALOGUE.items() if not kind.flies])
 def test_what_the_flight_library_lacks_is_refused(key: str) -> None:
     arm, _, _ = arm_of(ARMS[0])

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from arm_support import State as Sample
 from arm_support import random_arm, random_state
+from scipy.spatial.transform import Rotation
 
 from bench.simulator import far
 from conftest import ROOT
-from scipy.spatial.transform import Rotation
 from zygos import effects
 from zygos.arm import Arm, load_arm
 from zygos.balances.state import State

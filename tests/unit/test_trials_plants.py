@@ -15,6 +15,7 @@ if not os.environ.get("CI"):  # there, a missing tool is a failure
     pytest.importorskip("pinocchio")
 
 import mujoco
+
 from oracles import hidden
 from oracles.arms import ARMS, NADIR, Plant, as_built
 from oracles.cells import Cell, Hidden, case, cell_named, cells, is_dirty, seed_of

@@ -1,8 +1,9 @@
-"""The gravity gradient: what pulls at every mass of an arm in space, and turns it (docs/theory.md, "Gravity gradient").
+"""The gravity gradient, which pulls at every mass of an arm in space (docs/theory.md, "Gravity gradient").
 
-A mass at x from the mass centre of the whole arm feels the force c (r r' - 1/3) x per kg beside that of the orbit, where
-r is the direction to the Earth and c = 3 mu / r^3. With the vectors rho_a and the matrix N_ab of the kinetic energy, the
-second moment of all masses is sum N_ab rho_a rho_b', so that energy and torques are linear in the same parameters.
+A mass at x from the mass centre of the whole arm feels the force c (r r' - 1/3) x per kg beside that of the orbit; r is
+the direction to the Earth, and c = 3 mu / rho^3 at the distance rho. With the directions d_a and the matrix N_ab of the
+kinetic energy, the second moment of all masses is sum N_ab d_a d_b', so that energy and torques are linear in the same
+parameters.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ def pull(places: Posture, matrix: Floats, nadir: Floats) -> Pull:
 
 
 def nadir_along(nadir: Floats, omega: Floats, time: Floats) -> Floats:
-    """(n, 3) unit vector to the Earth in base axes at n instants (s) of a run, from that at the first and the base rates
-    (n, 3) in base axes, rad/s."""
+    """(n, 3) unit vector to the Earth in base axes at n instants (s) of a run, from that at the first (3,) and the base
+    rates (n, 3) in base axes, rad/s."""
     step = 0.5 * (omega[1:] + omega[:-1]) * np.diff(time)[:, None]
     out = np.empty_like(omega)
     out[0] = nadir

@@ -65,7 +65,8 @@ def replay(
 
     torque(k, states) gives the torques (B, N) of period k, Nm before the gear; `before` (B, N) are those of the period
     before the first. begin: time (B,), angle of the base (B,), direction to the Earth (B, 3) and internal states of
-    laws at the first SYNC, for effects that depend on them. Returns the states (B, cycles, 4N+W) at each SYNC and the torques (B, cycles, N).
+    laws at the first SYNC, for effects that depend on them. Returns the states (B, cycles, 4N+W) at each SYNC and the
+    torques (B, cycles, N).
     """
     lag = dynamics.torque_lag
     instants = np.unique(np.concatenate([[0.0, period_s], [] if lag is None else lag]))

@@ -725,23 +725,29 @@ def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
         elif kind.place == "rotor":
             yield from _coupling(arm, moving, balance, i)
         elif kind.place == "base":
-            number = kind.components(arm).index(one.component)
-            if balance == "E":
-                yield moving.thinned(energy_column(kind, moving.base, one.shape, number))
-            else:
-                column = momentum_column(kind, moving.base, one.shape, number)
-                column = (
-                    column[..., "xyz".index(balance[1])] if arm.spatial else _since_start(column[..., 0], moving.time)
-                )
-                yield moving.thinned(column)
+            yield _on_base(arm, moving, balance, one)
         elif kind.place == "field":
-            if balance == "E":
-                yield moving.thinned(moving.pull.energy)
-            elif balance[0] == "L":
-                yield moving.increments(-integral(moving.pull.joints[..., own], arm.period_s))
-            else:
-                turning = (moving.turning @ moving.pull.base[..., None])[..., "xyz".index(balance[1]), 0]
-                yield moving.thinned(-integral(turning, arm.period_s))
+            yield _pulled(arm, moving, balance)
+
+
+def _on_base(arm: Arm, moving: _Moving, balance: str, one: Acting) -> Array:
+    """(..., A, m) column of an effect of the base."""
+    number = one.kind.components(arm).index(one.component)
+    if balance == "E":
+        return moving.thinned(energy_column(one.kind, moving.base, one.shape, number))
+    column = momentum_column(one.kind, moving.base, one.shape, number)
+    column = column[..., "xyz".index(balance[1])] if arm.spatial else _since_start(column[..., 0], moving.time)
+    return moving.thinned(column)
+
+
+def _pulled(arm: Arm, moving: _Moving, balance: str) -> Array:
+    """(..., A, m) column of the gravity gradient."""
+    if balance == "E":
+        return moving.thinned(moving.pull.energy)
+    if balance[0] == "L":
+        return moving.increments(-integral(moving.pull.joints[..., int(balance[1:]) - 1], arm.period_s))
+    torque = (moving.turning @ moving.pull.base[..., None])[..., "xyz".index(balance[1]), 0]
+    return moving.thinned(-integral(torque, arm.period_s))
 
 
 def _since_start(column: Array, time: Array) -> Array:

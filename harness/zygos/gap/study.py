@@ -559,11 +559,10 @@ def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str, sensors: Se
         return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[one.joint])
     if one.kind.place == "rotor":
         return float(dynamics.coupling[one.joint] * dynamics.rotor_inertia[one.joint])
-    if one.kind.place == "field":
-        return dynamics.gradient
     if one.kind.place == "sensor":
         return sum(effect.value for effect in sensors if effect.column(arm) == one.plain)
     number = one.kind.components(arm).index(one.component)
     same = (one.kind.key, one.joint, number)
     laws = (*dynamics.laws, *dynamics.base_laws)
-    return sum(law.value for law in laws if (law.kind.key, law.joint, law.component) == same)
+    own = [law.value for law in laws if (law.kind.key, law.joint, law.component) == same]
+    return dynamics.gradient if one.kind.place == "field" else sum(own)
