@@ -39,7 +39,7 @@ LAWS: dict[str, type[Law]] = {
 SIZE = {
     "motor_coulomb2": {"spatial": 0.02, "standing": 0.004},
     "link_viscous2": {"spatial": 2.0, "standing": 0.05},
-    "gravity_gradient": {"spatial": 5e-4},
+    "gravity_gradient": {"spatial": 3e-4},
 }
 BESIDE = {
     "motor_coulomb2": ("motor_coulomb1",),
