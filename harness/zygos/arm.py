@@ -254,6 +254,9 @@ class Arm:
     """Whether a sampled torque is the mean over the period about its instant."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
+    nadir: tuple[float, float, float] | None = None
+    """Unit vector to the centre of the Earth, in the axes that the base has at the start of each run, of an arm that
+    floats in space; None: not known. Only the gravity gradient needs it."""
 
     @property
     def free(self) -> bool:
@@ -506,6 +509,12 @@ def read_arm(top: Table) -> Arm:
         raise arc.error("momentum_max_s", "a fixed base takes up momentum", 'remove it, or write base = "free"')
     if base == "free" and top.has("gravity"):
         raise top.error("gravity", "a free-floating arm feels no gravity", 'remove it, or write base = "fixed"')
+    kinetic = top.choice(
+        "kinetic",
+        'How the arm moves. "spatial": the axes have any direction. "planar": all axes are parallel. '
+        '"planar-symmetric": as "planar", and the mass centre of each body lies on the line between its joints.',
+        _KINETICS,
+    )
     imu = NO_IMU
     if base == "free":
         imu = _imu(
@@ -526,12 +535,7 @@ def read_arm(top: Table) -> Arm:
     arm = Arm(
         name=top.text("name", "Name of the arm, for tables and messages."),
         base=base,
-        kinetic=top.choice(
-            "kinetic",
-            'How the arm moves. "spatial": the axes have any direction. "planar": all axes are parallel. '
-            '"planar-symmetric": as "planar", and the mass centre of each body lies on the line between its joints.',
-            _KINETICS,
-        ),
+        kinetic=kinetic,
         period_s=period_s,
         torque_law=top.choice(
             "torque_law",
@@ -566,6 +570,7 @@ def read_arm(top: Table) -> Arm:
         ),
         arc_max_s=arc.number("max_s", "Longest arc of the energy balance.", 60.0, above=0.0, unit="s"),
         gravity=(gravity[0], gravity[1], gravity[2]),
+        nadir=_nadir(top, base, kinetic),
         impulse_arc_s=arc.number(
             "impulse_max_s",
             "Longest arc of the impulse balance of each motor. 0 switches this balance off.",
@@ -586,6 +591,24 @@ def read_arm(top: Table) -> Arm:
     top.finish()
     _check_whole(arm, top)
     return arm
+
+
+def _nadir(top: Table, base: Base, kinetic: Kinetic) -> tuple[float, float, float] | None:
+    if not top.has("nadir"):
+        return None
+    if base != "free" or kinetic != "spatial":
+        raise top.error("nadir", "only an arm that floats in space has a gravity gradient in space", "remove it")
+    x, y, z = top.vector(
+        "nadir",
+        "Unit vector to the centre of the Earth, in the axes that the base has at the start of each run. The gravity "
+        "gradient is only sought with it.",
+        3,
+        otherwise='not known; refused unless base is "free" and kinetic is "spatial"',
+    )
+    size = math.sqrt(x * x + y * y + z * z)
+    if abs(size - 1.0) > 1e-3:
+        raise top.error("nadir", f"has length {size:g}", "give a unit vector")
+    return x / size, y / size, z / size
 
 
 def _momentum(arc: Table) -> float | None:
@@ -986,6 +1009,8 @@ def save_arm(arm: Arm, path: str | Path) -> None:
         document["torque_averaged"] = True
     if not arm.free:
         document["gravity"] = list(arm.gravity)
+    if arm.nadir is not None:
+        document["nadir"] = list(arm.nadir)
     joints = tomlkit.aot()
     for joint in arm.joints:
         entry = tomlkit.table()
@@ -1011,17 +1036,22 @@ def save_arm(arm: Arm, path: str | Path) -> None:
         if arm.smoother.cutoff_hz is None
         else {"cutoff_hz": arm.smoother.cutoff_hz}
     )
-    arc = {"max_s": arm.arc_max_s, "impulse_max_s": arm.impulse_arc_s}
-    if arm.momentum_max_s is not None:
-        arc["momentum_max_s"] = arm.momentum_max_s
-    if arm.memory_s is not None:
-        arc["memory_min"] = arm.memory_s / 60.0
-    document["arc"] = arc
+    document["arc"] = _arc_entry(arm)
     if arm.joint_increment_s is not None:
         document["joint_rows"] = {"increment_s": arm.joint_increment_s}
     if arm.compensate_every is not None:
         document["compensation"] = {"every": arm.compensate_every}
     write_text(Path(path), tomlkit.dumps(document))
+
+
+def _arc_entry(arm: Arm) -> dict[str, float]:
+    """The table [arc] as `read_arm` reads it."""
+    arc = {"max_s": arm.arc_max_s, "impulse_max_s": arm.impulse_arc_s}
+    if arm.momentum_max_s is not None:
+        arc["momentum_max_s"] = arm.momentum_max_s
+    if arm.memory_s is not None:
+        arc["memory_min"] = arm.memory_s / 60.0
+    return arc
 
 
 def _encoder_entry(encoder: Encoder, gear_ratio: float | None = None) -> Any:

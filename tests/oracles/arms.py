@@ -24,6 +24,10 @@ Array = NDArray[np.float64]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
+NADIR = (0.48, -0.6, 0.64)
+"""Where the Earth is when a run of the satellite begins, in the axes of its base."""
+
+
 @dataclass(frozen=True)
 class Trial:
     """An arm as drawn, with the motions of three runs."""
@@ -154,7 +158,9 @@ def coarse() -> Trial:
 def spatial() -> Trial:
     """A servicing arm with three flexible joints on a satellite that floats in space (examples/spatial)."""
     folder = EXAMPLES / "spatial"
-    arm = replace(load_arm(folder / "arm.toml").at_period(0.004), arc_max_s=10.0, smoother=Smoother(9, 4, 4))
+    arm = replace(
+        load_arm(folder / "arm.toml").at_period(0.004), arc_max_s=10.0, smoother=Smoother(9, 4, 4), nadir=NADIR
+    )
     model = _loose(load_model(folder / "model.toml"), 0.01)
     controller = Controller((260.0, 220.0, 90.0), (45.0, 40.0, 17.0))
     centres = ((0.0, -0.3, 0.9), (0.4, -0.1, 1.3), (-0.3, 0.1, 0.7))

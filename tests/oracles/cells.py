@@ -126,6 +126,7 @@ def guessed(arm: str, key: str, joint: int) -> float:
         "base_torque": 0.3 * n * torque,
         "base_leak": 0.5 * n * torque,
         "gravity_gradient_sin": 0.5 * n * torque,
+        "gravity_gradient": 0.005 * n * torque,
     }
     return share * scales[key]
 
@@ -201,6 +202,7 @@ ON: dict[str, dict[str, tuple[Make, Make]]] = {
         "torque_lag": DRIVE["torque_lag"],
         **SENSORS,
         **BASE,
+        "gravity_gradient": (h.TidalField, h.TidalField),
     },
     "coarse": {
         **{k: v for k, v in {**FRICTION, **LINK}.items() if k in COARSE},
@@ -383,6 +385,7 @@ def case(cell: Cell, draw: int) -> Case:
         one.size if not one.times else one.times * limit(cell.arm, dirty, one.law, one.joint) for one in cell.hidden
     ]
     made = [one.make(max(one.joint, 0), size) for one, size in zip(cell.hidden, sizes, strict=True)]
+    made = [replace(one, nadir=trial.arm.nadir) if isinstance(one, h.TidalField) else one for one in made]
     # the same share of bend on slow and fast arms
     made = [replace(one, bend=20.0 * RATE[cell.arm]) if isinstance(one, h.BentViscous) else one for one in made]
     model = as_built(trial, seed)

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Place = Literal["motor", "link", "spring", "base"]
+Place = Literal["motor", "link", "spring", "base", "field"]
 """What a torque acts on: the rotor before the gear; the link against the body that carries it; the joint's spring; the
-base from outside."""
+base from outside. A field pulls at all bodies."""
 WIDTH = 1e-3
 """Rate within which the Coulomb friction of the package's catalogue fades, rad/s."""
 
@@ -550,6 +550,21 @@ class Gradient(Law):
 
     def torque(self, now: Now) -> float:
         return self.size * sin(2.0 * now.attitude)
+
+
+@dataclass
+class TidalField(Law):
+    """The gravity gradient of an arm in space: `size` is 3 mu / r^3, and the Earth stands still at `nadir`."""
+
+    nadir: tuple[float, float, float] = (0.0, 0.0, -1.0)
+
+    key = "gravity_gradient"
+    near = ("base_torque", "base_leak")
+    place = "field"
+    exact = True
+
+    def torque(self, now: Now) -> float:
+        return self.size
 
 
 @dataclass

@@ -115,7 +115,7 @@ def truth(one: Case, motions: Sequence[Motion]) -> Truth:
     arm, plant = one.arm, one.plant
     effects = []
     for k, law in enumerate(plant.laws):
-        at_base = law.place == "base"
+        at_base = law.place in ("base", "field")
         joint = arm.joints[law.joint]
         near = (*law.near, *one.cell.near)
         key = "" if one.cell.group == "without" else law.key

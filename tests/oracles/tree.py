@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from oracles.hidden import Law, Motion, Now
+from oracles.hidden import Law, Motion, Now, TidalField
 from zygos.arm import Arm
 from zygos.model.model import Body, Model
 from zygos.simulation.scenario import Scenario
@@ -164,9 +164,20 @@ class TreePlant:
         elif law.place == "spring":
             assert i in self.soft, "a rigid joint has no spring"
             out[self.link[i]], out[self.rotor[i]] = 1.0, -1.0 / self.ratio[i]
-        else:
+        elif law.place == "base":
             out[5 if self.arm.spatial else 2] = 1.0
         return out
+
+    def tide(self, data: mujoco.MjData, law: TidalField) -> Array:
+        """(bodies, 6) what the Earth's gravity does to every body beside the acceleration of the mass centre: a force
+        at its own mass centre, and the torque that turns its long axis towards the Earth; world axes."""
+        tree, earth, rate = self.model, np.array(law.nadir), law.size / 3.0
+        place = data.xipos - tree.body_mass @ data.xipos / tree.body_mass.sum()
+        force = rate * tree.body_mass[:, None] * (3.0 * np.outer(place @ earth, earth) - place)
+        turn = data.ximat.reshape(-1, 3, 3)
+        along = tree.body_inertia * (earth @ turn)
+        torque = 3.0 * rate * np.cross(earth, (turn @ along[..., None])[..., 0])
+        return np.concatenate([force, torque], axis=1)
 
     def step_s(self, laws: Sequence[Law]) -> float:
         """Integration step that the stiffest friction allows, a whole part of the period."""
@@ -240,6 +251,9 @@ class TreePlant:
             if laws:
                 base = of_base(state)
                 for law, along in zip(laws, directions, strict=True):
+                    if isinstance(law, TidalField):
+                        state.xfrc_applied[:] = self.tide(state, law)
+                        continue
                     state.qfrc_passive += law.torque(now(law, state, tau, angles, base)) * along
 
         needs_callback = bool(laws) or follow is not None

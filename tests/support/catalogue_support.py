@@ -25,11 +25,13 @@ from zygos.balances.effects import (
     momentum_column,
     sensor_column,
 )
-from zygos.balances.kinematics import body_columns
+from zygos.balances.field import pull
+from zygos.balances.kinematics import body_columns, posture
 from zygos.balances.quadrature import FromOrigin, integral
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.effects import Effect, Kind
+from zygos.model import gram
 from zygos.model.model import Model, load_model
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Controller, Scenario, Sine, load_scenario
@@ -38,6 +40,8 @@ Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PERIOD_S = 0.001
 DURATION_S = 1.6
+NADIR = (0.48, -0.6, 0.64)
+"""Where the Earth is when a run of an arm that floats in space begins."""
 ARMS = ("planar free flexible", "spatial free flexible", "fixed rigid")
 
 
@@ -54,8 +58,9 @@ def arm_of(name: str) -> tuple[Arm, Model, Scenario]:
         return arm, model, replace(scenario, manoeuvre=manoeuvre, controller=control)
     folder = EXAMPLES / ("gap" if name.startswith("planar") else "spatial")
     files = ("cad.toml", "b.toml") if name.startswith("planar") else ("model.toml", "scenario.toml")
+    arm = load_arm(folder / "arm.toml")
     return (
-        load_arm(folder / "arm.toml"),
+        replace(arm, nadir=NADIR) if arm.spatial else arm,
         replace(load_model(folder / files[0]), effects=()),
         load_scenario(folder / files[1]),
     )
@@ -235,6 +240,13 @@ def columns(
         for k in range(turned.shape[-1]):
             out["H" + "xyz"[k] * (turned.shape[-1] == 3)] = turned[:, k]
         return out
+    if kind.place == "field":
+        assert seen.turned is not None
+        kinetic = np.array([values[name] for name in arm.full_body_names])
+        one = pull(posture(arm, seen.state.q), gram.from_parameters(arm, kinetic), np.array(NADIR) @ seen.turned)
+        out["E"] = one.energy
+        along = integral((seen.turned @ one.base[..., None])[..., 0], PERIOD_S, axis=0)
+        return out | {f"H{axis}": -along[:, k] for k, axis in enumerate("xyz")}
     if kind.place == "rotor":
         carried = body_columns(arm, seen.state)[1][:, i]
         ratio, spin = arm.gear_ratios[i], seen.state.thetad[:, i]

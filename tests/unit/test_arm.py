@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from plant_support import LIVELY, lively, random_arm
 
-from zygos.arm import Arm, load_arm
+from zygos.arm import Arm, load_arm, save_arm
 from zygos.errors import ZygosError
 
 LINK = "link_encoder  = { quantum_rad = 0.003, sign = 1, zero_rad = 0.0, zero_sigma_rad = 0.0, latch_us = 0 }"
@@ -53,6 +53,21 @@ def test_another_period_keeps_the_gyros_density() -> None:
             late.at_period(period)
 
 
+def test_where_the_earth_is_has_a_length_of_1_and_is_kept(tmp_path: Path) -> None:
+    file = tmp_path / "arm.toml"
+    text = (LIVELY.parent / "spatial" / "arm.toml").read_text()
+    assert load_arm(LIVELY.parent / "spatial" / "arm.toml").nadir is None
+    file.write_text(text.replace('kinetic = "spatial"', 'kinetic = "spatial"\nnadir = [0.6, 0, -0.8001]'))
+    arm = load_arm(file)
+    assert arm.nadir is not None
+    assert math.hypot(*arm.nadir) == pytest.approx(1.0, abs=1e-15)
+    save_arm(arm, tmp_path / "again.toml")
+    assert load_arm(tmp_path / "again.toml").nadir == pytest.approx(arm.nadir, abs=1e-15)
+    file.write_text(text.replace('kinetic = "spatial"', 'kinetic = "spatial"\nnadir = [1, 0, -1]'))
+    with pytest.raises(ZygosError, match=r"nadir: has length 1\.41421; remedy: give a unit vector"):
+        load_arm(file)
+
+
 @pytest.mark.parametrize(("side", "quantum"), [("output", 2 * math.pi / 4096), ("rotor", 2 * math.pi / 4096 / 50)])
 def test_counts_on_either_side_of_the_gear(tmp_path: Path, side: str, quantum: float) -> None:
     file = tmp_path / "arm.toml"
@@ -77,6 +92,7 @@ def test_optional_parts(tmp_path: Path) -> None:
     ('base = "free"', 'base = "fixe"', "base: 'fixe' is not known; remedy: write \"free\" or \"fixed\""),
     ('base = "free"', 'base = "fixed"', "imu: a fixed base has no rate to measure"),
     ('base = "free"', 'base = "free"\ngravity = [0, 0, -9.81]', "gravity: a free-floating arm feels no gravity"),
+    ('base = "free"', 'base = "free"\nnadir = [0, 0, 1]', "nadir: only an arm that floats in space"),
     ("gear_ratio = 50", "gear_ratio = 50\nflexible = false", "a rigid joint has only its motor's encoder"),
     ('kinetic = "planar-symmetric"', 'kinetic = "plane"', "kinetic"),
     ("period_s = 0.05", "period_s = 0", "period_s"),

@@ -250,6 +250,8 @@ def test_a_missing_file_of_laws_is_refused(tmp_path: Path) -> None:
     ("name", "wrong", "message"),
     [
         ("fixed rigid", effect("base_torque", component="x"), "the base of arm random is fixed"),
+        ("fixed rigid", effect("gravity_gradient"), "the base of arm random is fixed"),
+        ("planar free flexible", effect("gravity_gradient"), "moves in a plane"),
         ("fixed rigid", effect("backlash", "joint1", shape=1e-3), "the joint is rigid"),
         ("fixed rigid", effect("motor_zero", "joint1"), "has one encoder"),
         ("planar free flexible", effect("gyro_misalignment"), "moves in a plane"),
@@ -264,6 +266,16 @@ def test_what_an_arm_cannot_have_is_refused(name: str, wrong: Effect, message: s
     arm, model, _ = arm_of(name)
     with pytest.raises(ZygosError, match=f"{message}.*remedy"):
         equations(arm, replace(model, effects=(wrong,)))
+
+
+def test_a_gravity_gradient_needs_an_arm_that_knows_where_the_earth_is() -> None:
+    arm, model, _ = arm_of("spatial free flexible")
+    wrong = replace(model, effects=(effect("gravity_gradient", value=1e-6),))
+    equations(arm, wrong)
+    lost = replace(arm, nadir=None)
+    assert not columns_at(lost, CATALOGUE["gravity_gradient"])
+    with pytest.raises(ZygosError, match=r"does not say where the Earth is; remedy: .*state nadir in the arm file"):
+        equations(lost, wrong)
 
 
 @pytest.mark.parametrize("key", [key for key, kind in CATALOGUE.items() if not kind.flies])

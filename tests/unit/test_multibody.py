@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from arm_support import State as Sample
 from arm_support import random_arm, random_state
+from scipy.spatial.transform import Rotation
 
 from bench.simulator import far
 from conftest import ROOT
@@ -23,7 +24,7 @@ from zygos.dynamics.joints import Drives, Moment
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import replay
 from zygos.dynamics.serial import SpatialDynamics
-from zygos.effects import CATALOGUE, Effect, Kind
+from zygos.effects import CATALOGUE, Effect, Kind, effect
 from zygos.errors import ZygosError
 from zygos.model.model import Model, load_model
 from zygos.native.flight import ffi, lib
@@ -181,6 +182,9 @@ def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, m
             continue
         if arm.joints[1].flexible or one.place != "spring":
             acting.append((Effect(one, joint, SIZES.get(one.key, 0.2), shape=shape),))
+    if arm.free and arm.spatial:
+        arm = replace(arm, nadir=(0.6, 0.0, -0.8))
+        acting.append((effect("gravity_gradient", value=30.0),))
     samples, width = [random_state(rng, arm) for _ in range(3)], 3 if kinetic == "spatial" else 1
     ends: list[np.ndarray] = []
     for laws_of in acting:
@@ -196,7 +200,8 @@ def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, m
         def moved(
             dynamics: Drives = dynamics, packed: list[np.ndarray] = packed, tau: np.ndarray = torque
         ) -> np.ndarray:
-            begin = Moment(np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.4, 0.8]))
+            faced = Rotation.random(3, rng=1).as_matrix()[:, 0] if arm.nadir else None
+            begin = Moment(np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.4, 0.8]), nadir=faced)
             return replay(dynamics, 1e-4, np.stack(packed), lambda _k, _now: tau, tau, 20, 2, begin)[0]
 
         quick = moved()
@@ -262,10 +267,10 @@ def test_memory_is_what_it_says(joints: int, base: str) -> None:
         moved = np.concatenate([state[: 3 + 4 * joints], np.full(50, filling)])
         spring, torque = (ffi.from_buffer("double[]", np.ones(count)) for count in (2 * joints, joints))
         place = ffi.from_buffer("double[]", moved)
-        clock = np.concatenate([np.zeros(2), np.full(50, filling)])
+        clock = np.concatenate([np.zeros(2), [0.6, 0.0, 0.8], np.full(50, filling)])
         times = ffi.from_buffer("double[]", clock)
-        lib.zygos_multibody_advance(native, 1, 3, spring, ffi.NULL, 0, torque, 1e-4, 2, place, times, views[2])
-        for array, used in ((scratch, room), (moved, 3 + 4 * joints), (clock, 2)):
+        lib.zygos_multibody_advance(native, 1, 3, spring, ffi.NULL, 0, 0.1, torque, 1e-4, 2, place, times, views[2])
+        for array, used in ((scratch, room), (moved, 3 + 4 * joints), (clock, 5)):
             np.testing.assert_array_equal(array[used:], filling)
         if base == "free":
             assert scratch[room - 1] != filling

@@ -8,21 +8,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 if not os.environ.get("CI"):  # there, a missing tool is a failure
     pytest.importorskip("mujoco")
     pytest.importorskip("pinocchio")
 
+import mujoco
+
 from oracles import hidden
-from oracles.arms import ARMS, Plant, as_built
+from oracles.arms import ARMS, NADIR, Plant, as_built
 from oracles.cells import Cell, Hidden, case, cell_named, cells, is_dirty, seed_of
 from oracles.hidden import Law, Motion
 from oracles.score import projected
 from oracles.tree import Payload, TreePlant
 from oracles.trials import make, spread
 from zygos.arm import load_arm
+from zygos.balances.field import pull
+from zygos.balances.kinematics import posture
 from zygos.can.run import read_run
 from zygos.dynamics.engines import engine
+from zygos.dynamics.joints import by_name
+from zygos.model import gram
 from zygos.model.model import load_model
 
 NAMES = list(ARMS)
@@ -112,6 +119,30 @@ def test_every_law_is_felt_and_declares_how_far_it_may_be_stepped() -> None:
         motion = replace(one.plant, model=as_built(one.plant.trial, 0)).run(0, 0, 0.4)[1]
         assert np.abs(motion.torques).max() > 0.0 or "leak" in cell.name, cell.name
         assert np.isfinite(motion.q).all()
+
+
+def test_a_tide_on_every_body_is_the_pull_of_the_balances() -> None:
+    """Forces and torques on the bodies of MuJoCo against what the columns make of the matrix of the kinetic energy."""
+    trial, law = ARMS["spatial"](), hidden.TidalField(0, 2.0, nadir=NADIR)
+    arm, model = trial.arm, as_built(trial, 3)
+    plant, random = TreePlant(arm, model), np.random.default_rng(5)
+    data = plant.start(trial.scenarios[0])
+    values = by_name(arm, model.base_values(arm))
+    matrix = gram.from_parameters(arm, np.array([values[name] for name in arm.full_body_names]))
+    for _ in range(5):
+        data.qpos[:] = random.standard_normal(len(data.qpos))
+        data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+        mujoco.mj_forward(plant.model, data)
+        forces = np.zeros(plant.model.nv)
+        for body, own in enumerate(plant.tide(data, law)):
+            mujoco.mj_applyFT(plant.model, data, own[:3], own[3:], data.xipos[body], body, forces)
+        back = Rotation.from_quat(data.qpos[[4, 5, 6, 3]]).inv()
+        one = pull(posture(arm, data.qpos[plant.link_at]), law.size * matrix, back.apply(np.array(NADIR)))
+        size = np.abs(one.base).max()
+        np.testing.assert_allclose(forces[3:6], one.base, rtol=0, atol=1e-9 * size)
+        np.testing.assert_allclose(forces[plant.link], one.joints, rtol=0, atol=1e-9 * size)
+        # the field pulls at no mass centre, and turns no rotor
+        np.testing.assert_allclose(forces[[0, 1, 2, *plant.rotor]], 0.0, atol=1e-9 * size)
 
 
 def test_a_payload_comes_without_a_jerk_and_stays() -> None:

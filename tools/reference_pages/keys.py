@@ -89,7 +89,9 @@ class File:
     @property
     def samples(self) -> list[Path]:
         """The files of this kind in tools/samples/."""
-        return [path for folder in ("free", "fixed", "ros") if (path := SAMPLES / folder / self.name).is_file()]
+        return [
+            path for folder in ("free", "fixed", "space", "ros") if (path := SAMPLES / folder / self.name).is_file()
+        ]
 
     def reads(self) -> list[Read]:
         """What the reader asks of the samples."""
@@ -122,6 +124,7 @@ SITES = {
     "torque": ("the torque of a joint's motor", "the torque that acts exceeds the reported one by c f"),
     "rotor": ("the rotor of a joint", "as stated"),
     "base": ("the base; there is no key joint", "torque +c f on the base"),
+    "field": ("all bodies; there is no key joint", "as stated"),
     "body": ("the bodies; there is no key joint", "as stated"),
     "sensor": ("an encoder of a joint, or the gyro, which has no key joint", "as stated"),
 }

@@ -10,6 +10,7 @@
 
 #define SPACE 3u
 #define MATRIX 9u
+#define CLOCK 5u
 
 uint64_t zygos_multibody_scratch(uint32_t joints)
 {
@@ -84,9 +85,10 @@ static state_t carve(uint32_t joints, double *scratch)
     return s;
 }
 
-// Axes, directions, rates, and accelerations while u stands still.
+// Axes, directions, rates, and accelerations while u stands still. tide: 3 x 3, what a field takes a mass at x from the
+// mass centre to its acceleration with [1/s^2], base axes; NULL where there is none.
 static void place(const zygos_multibody_t *self, const double *base_rate, const double *q, const double *rate,
-                  const state_t *s)
+                  const double *tide, const state_t *s)
 {
     double attitude[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 };
     double *direction = s->direction;
@@ -145,6 +147,9 @@ static void place(const zygos_multibody_t *self, const double *base_rate, const 
         swing[5] -= a[0];
         swing[6] -= a[1];
         swing[7] += a[0];
+        for (uint32_t at = 0; (tide != NULL) && (at < MATRIX); at++) {
+            swing[at] -= tide[at];
+        }
     }
 }
 
@@ -329,11 +334,12 @@ static void solve(uint32_t unknowns, double *mass, double *right)
 // Accelerations of base, links and motors in one state.
 static void accelerate(const zygos_multibody_t *self, const double *base_rate, const double *q, const double *rate,
                        const double *motor_rate, const double *spring, const double *drive, const double *link,
-                       const double *push, const state_t *s, double *base_out, double *link_out, double *motor_out)
+                       const double *push, const double *tide, const state_t *s, double *base_out, double *link_out,
+                       double *motor_out)
 {
     const uint32_t joints = self->joints;
     const uint32_t base = self->floating ? SPACE : 0u;
-    place(self, base_rate, q, rate, s);
+    place(self, base_rate, q, rate, tide, s);
     gather(self, s);
     push_off(self, motor_rate, spring, drive, rate, s);
     sum_outward(joints + 1u, s);
@@ -368,7 +374,7 @@ void zygos_multibody_accelerations(const zygos_multibody_t *self, uint64_t n, co
         const double *const q = base_rate + SPACE;
         double *const base_out = &out[at * (SPACE + 2u * joints)];
         accelerate(self, base_rate, q, q + joints, q + 2u * joints, q + 3u * joints, q + 4u * joints, q + 5u * joints,
-                   q + 6u * joints, &s, base_out, base_out + SPACE, base_out + SPACE + joints);
+                   q + 6u * joints, NULL, &s, base_out, base_out + SPACE, base_out + SPACE + joints);
     }
 }
 
@@ -429,7 +435,8 @@ static void accelerate_in_plane(const zygos_multibody_t *self, double base_rate,
 
 // Time derivative of a packed state.
 static void derive(const zygos_multibody_t *self, uint32_t width, const double *state, const double *spring,
-                   const double *drive, const double *link, const double *push, double *scratch, double *out)
+                   const double *drive, const double *link, const double *push, const double *tide, double *scratch,
+                   double *out)
 {
     const uint32_t joints = self->joints;
     const double *const q = state + width;
@@ -447,7 +454,7 @@ static void derive(const zygos_multibody_t *self, uint32_t width, const double *
     if (self->floating) {
         memcpy(base_rate, state, width * sizeof base_rate[0]);
     }
-    accelerate(self, base_rate, q, rate, rate + joints, spring, drive, link, push, &s, base_out, out_rate,
+    accelerate(self, base_rate, q, rate, rate + joints, spring, drive, link, push, tide, &s, base_out, out_rate,
                out_rate + joints);
     memcpy(out, base_out, width * sizeof base_out[0]);
 }
@@ -460,7 +467,7 @@ void zygos_multibody_rates(const zygos_multibody_t *self, uint64_t n, uint32_t w
     for (uint64_t at = 0; at < n; at++) {
         const double *const spring = &force[(3u * joints + width) * at];
         derive(self, width, &state[at * size], spring, spring + joints, spring + 2u * joints, spring + 3u * joints,
-               scratch, &out[at * size]);
+               NULL, scratch, &out[at * size]);
     }
 }
 
@@ -557,43 +564,81 @@ static void act(const zygos_multibody_t *self, const double *spring, const zygos
     }
 }
 
+// A direction that stands still, in axes that turn by a small vector; the third order of the turn is left out.
+static void turn_back(const double direction[3], const double turn[3], double out[3])
+{
+    double once[3];
+    double twice[3];
+    cross(direction, turn, once);
+    cross(once, turn, twice);
+    for (uint32_t i = 0; i < SPACE; i++) {
+        out[i] = direction[i] + once[i] + 0.5 * twice[i];
+    }
+}
+
+// What the gravity gradient takes a place to its acceleration with.
+static void tide_of(double gradient, const double nadir[3], double tide[9])
+{
+    for (uint32_t row = 0; row < SPACE; row++) {
+        for (uint32_t column = 0; column < SPACE; column++) {
+            tide[SPACE * row + column] = gradient * (nadir[row] * nadir[column] - ((row == column) ? 1.0 / 3.0 : 0.0));
+        }
+    }
+}
+
 void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *spring,
-                             const zygos_multibody_law_t *laws, uint32_t count, const double *torque, double step_s,
-                             uint64_t steps, double *state, double *clock, double *scratch)
+                             const zygos_multibody_law_t *laws, uint32_t count, double gradient, const double *torque,
+                             double step_s, uint64_t steps, double *state, double *clock, double *scratch)
 {
     static const double SHARE[4] = { 0.0, 0.5, 0.5, 1.0 };
     static const double WEIGHT[4] = { 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0 };
     const uint32_t joints = self->joints;
     const uint32_t size = width + 4u * joints;
+    const int pulled = (width == SPACE) && (gradient != 0.0);
     double *const rate = take(&scratch, size);
     double *const at = take(&scratch, size);
     double *const sum = take(&scratch, size);
     double *const force = take(&scratch, 3u * (uint64_t)joints + SPACE);
     for (uint64_t piece = 0; piece < n; piece++) {
         double *const x = &state[piece * size];
-        double *const time = &clock[2u * piece];
+        double *const time = &clock[CLOCK * piece];
         double *const angle = time + 1;
+        double *const nadir = time + 2;
         for (uint64_t k = 0; k < steps; k++) {
             memset(rate, 0, size * sizeof rate[0]);
             memcpy(sum, x, size * sizeof sum[0]);
-            double turning = 0.0; // rate at which the base turns in the stage before
-            double turned = *angle;
+            double turning[3] = { 0.0, 0.0, 0.0 }; // rate of the base in the stage before; of a planar one the first
+            double turned[3] = { 0.0, 0.0, 0.0 };
             for (uint32_t stage = 0; stage < 4u; stage++) {
+                const double share = SHARE[stage] * step_s;
                 for (uint32_t i = 0; i < size; i++) {
-                    at[i] = x[i] + SHARE[stage] * step_s * rate[i];
+                    at[i] = x[i] + share * rate[i];
                 }
-                act(self, spring, laws, count, &torque[piece * joints], at + width, *time + SHARE[stage] * step_s,
-                    *angle + SHARE[stage] * step_s * turning, force);
-                derive(self, width, at, force, force + joints, force + 2u * joints, force + 3u * joints, scratch, rate);
-                turning = self->planar ? at[0] : 0.0;
-                turned += WEIGHT[stage] * step_s * turning;
+                double tide[9];
+                if (pulled) {
+                    const double turn[3] = { share * turning[0], share * turning[1], share * turning[2] };
+                    double seen[3];
+                    turn_back(nadir, turn, seen);
+                    tide_of(gradient, seen, tide);
+                }
+                act(self, spring, laws, count, &torque[piece * joints], at + width, *time + share,
+                    *angle + (self->planar ? share * turning[0] : 0.0), force);
+                derive(self, width, at, force, force + joints, force + 2u * joints, force + 3u * joints,
+                       pulled ? tide : NULL, scratch, rate);
+                memcpy(turning, at, width * sizeof turning[0]);
+                add(turned, WEIGHT[stage] * step_s, turning);
                 for (uint32_t i = 0; i < size; i++) {
                     sum[i] += WEIGHT[stage] * step_s * rate[i];
                 }
             }
             memcpy(x, sum, size * sizeof x[0]);
             *time += step_s;
-            *angle = turned;
+            *angle += self->planar ? turned[0] : 0.0;
+            if (pulled) {
+                double seen[3];
+                turn_back(nadir, turned, seen);
+                memcpy(nadir, seen, sizeof seen);
+            }
         }
     }
 }

@@ -93,11 +93,13 @@ void zygos_multibody_rates(const zygos_multibody_t *self, uint64_t n, uint32_t w
 
 /// Integrates n states, as of zygos_multibody_rates(), by that many RK4 steps of step_s seconds under torques on the
 /// rotors, n x N before the gear [Nm], that stay constant. spring: stiffness [Nm/rad], then damping [Nms/rad] of the N
-/// joints, after the gear; 0 of a rigid one. laws: count laws at joints and on the base. clock: n x 2: time since the
-/// start of the run [s], and the angle [rad] that the base has turned since then in its plane, which stays as it is of
-/// an arm in space. Changes state and clock. scratch: as above. Cost: 4 n steps times that of a state.
+/// joints, after the gear; 0 of a rigid one. laws: count laws at joints and on the base. gradient: coefficient of the
+/// gravity gradient [1/s^2], of an arm that floats in space; else it does nothing. clock: n x 5: time since the start
+/// of the run [s]; the angle [rad] that the base has turned since then in its plane, which stays as it is of an arm in
+/// space; the unit vector to the Earth in base axes, which stays as it is without a gradient. Changes state and clock.
+/// scratch: as above. Cost: 4 n steps times that of a state.
 void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *spring,
-                             const zygos_multibody_law_t *laws, uint32_t count, const double *torque, double step_s,
-                             uint64_t steps, double *state, double *clock, double *scratch);
+                             const zygos_multibody_law_t *laws, uint32_t count, double gradient, const double *torque,
+                             double step_s, uint64_t steps, double *state, double *clock, double *scratch);
 
 #endif

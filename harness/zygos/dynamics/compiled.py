@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import across
+from zygos.balances.kinematics import posture
 from zygos.dynamics.joints import START, Drives, Moment
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.serial import SpatialDynamics
@@ -149,8 +150,10 @@ class Stepper:
         width = state.shape[1] - 4 * n
         after = np.array(state, dtype=np.float64, order="C")
         held = np.ascontiguousarray(np.broadcast_to(torque, (len(state), n)))
-        clock = np.empty((len(state), 2))
+        clock = np.zeros((len(state), 5))
         clock[:, 0], clock[:, 1] = now.time, now.angle
+        if now.nadir is not None:
+            clock[:, 2:] = now.nadir
         lib.zygos_multibody_advance(
             self._arm,
             len(state),
@@ -158,6 +161,7 @@ class Stepper:
             self._spring,
             self._laws,
             len(self._laws),
+            0.0 if now.nadir is None else self._dynamics.gradient,
             ffi.from_buffer("double[]", held),
             step_s,
             steps,
@@ -165,7 +169,8 @@ class Stepper:
             ffi.from_buffer("double[]", clock),
             self._scratch,
         )
-        return after, replace(now, time=clock[:, 0], angle=clock[:, 1])
+        nadir = None if now.nadir is None else clock[:, 2:]
+        return after, replace(now, time=clock[:, 0], angle=clock[:, 1], nadir=nadir)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,6 +211,9 @@ class Multibody(SpatialDynamics):
             state[..., 3 + k * n : 3 + (k + 1) * n] = part
         pushing = self._base_torque(q, omega0, moment)
         state[..., 3 + 6 * n :] = 0.0 if pushing is None or not self.arm.free else pushing
+        if self.gradient and (pulling := self._pull(posture(self.arm, q), moment)) is not None:
+            state[..., 3 + 5 * n : 3 + 6 * n] += pulling.joints
+            state[..., 3 + 6 * n :] += pulling.base
         native, size, _ = self.compiled
         result = np.empty((*batch, 3 + 2 * n))
         lib.zygos_multibody_accelerations(

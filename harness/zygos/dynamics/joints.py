@@ -36,6 +36,8 @@ class Moment:
     """(...,) angle that the base of a planar arm has turned since then, rad."""
     memory: NDArray[np.complex128] | None = None
     """(..., S) internal states of the laws with a memory, in the order of `Drives.remembering`; None: all are 0."""
+    nadir: Array | None = None
+    """(..., 3) unit vector to the Earth in base axes; None: its gravity has no gradient."""
 
 
 START = Moment()
@@ -76,6 +78,8 @@ class Drives(ABC):
     """Torque laws at joints."""
     base_laws: tuple[Law, ...] = ()
     """Torque laws at the base."""
+    gradient: float = 0.0
+    """Coefficient of the gravity gradient, 1/s^2."""
     later: Drives | None = None
     """The arm from the instant `change_s` on; None: it does not change."""
     change_s: float = np.inf
@@ -145,7 +149,7 @@ class Drives(ABC):
     @property
     def held_momentum(self) -> float | None:
         """Angular momentum that the arm keeps, Nms; None: no assumption, or a torque acts on the base."""
-        return None if self.base_laws else self.angular_momentum
+        return None if self.base_laws or self.gradient else self.angular_momentum
 
     @cached_property
     def rigid(self) -> NDArray[np.bool_]:
@@ -368,6 +372,7 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
     joints = range(1, arm.n + 1)
     coupling, lag = np.ones(arm.n), np.zeros(arm.n)
     momentum: float | None = None
+    gradient = 0.0
     laws: list[Law] = []
     base_laws: list[Law] = []
     for effect in effects:
@@ -388,6 +393,8 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
             base_laws.append(Law(effect.kind, joint, effect.value, shape, effect.component_index(arm)))
         elif place == "base":
             momentum = effect.value
+        elif place == "field":
+            gradient += effect.value
         elif place != "sensor":
             raise ZygosError(
                 f"effect {effect.kind.key}: the simulator has no law of the site {place}; remedy: remove the entry "
@@ -409,4 +416,5 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
         "base_laws": tuple(base_laws),
         "torque_lag": lag if lag.any() else None,
         "angular_momentum": momentum,
+        "gradient": gradient,
     }

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.kinematics import crossed
 from zygos.balances.state import State
 from zygos.dynamics.compiled import Stepper
 from zygos.dynamics.joints import START, Drives, Moment
@@ -63,8 +64,9 @@ def replay(
     Internal states of laws with a memory are held within a step, and follow in half steps before and behind it.
 
     torque(k, states) gives the torques (B, N) of period k, Nm before the gear; `before` (B, N) are those of the period
-    before the first. begin: time (B,), angle of the base (B,) and internal states of laws at the first SYNC, for
-    effects that depend on them. Returns the states (B, cycles, 4N+W) at each SYNC and the torques (B, cycles, N).
+    before the first. begin: time (B,), angle of the base (B,), direction to the Earth (B, 3) and internal states of
+    laws at the first SYNC, for effects that depend on them. Returns the states (B, cycles, 4N+W) at each SYNC and the
+    torques (B, cycles, N).
     """
     lag = dynamics.torque_lag
     instants = np.unique(np.concatenate([[0.0, period_s], [] if lag is None else lag]))
@@ -121,7 +123,13 @@ def exact_readings(dynamics: Drives, arm: Arm, states: Array, torques: Array) ->
 def _step(dynamics: Drives, x: Array, tau: Array, h: float, now: Moment) -> tuple[Array, Moment]:
     def later(share: float, rate: Array) -> Moment:
         turned = rate[..., 0] if _in_a_plane(x) else 0.0
-        return replace(now, time=now.time + share * h, angle=now.angle + share * h * turned)
+        nadir = now.nadir
+        if nadir is not None:
+            # it stands still while the base turns; the third order of a step's turn is nothing
+            turn = share * h * rate[..., :3]
+            once = crossed(nadir, turn)
+            nadir = nadir + once + 0.5 * crossed(once, turn)
+        return replace(now, time=now.time + share * h, angle=now.angle + share * h * turned, nadir=nadir)
 
     if now.memory is not None:
         now = replace(now, memory=dynamics.remembered(State.unpacked(x), now.memory, 0.5 * h))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
+from zygos.balances.field import Pull, pull
 from zygos.balances.kinematics import Posture, body_rates, posture
 from zygos.dynamics.joints import START, Drives, Moment, by_name, drives
 from zygos.effects import Effect
@@ -151,6 +152,12 @@ class SpatialDynamics(Drives):
         solved = np.linalg.solve(mass, np.broadcast_to(torque, (*mass.shape[:-2], *torque.shape)))
         return np.asarray(solved[..., self._first :, :], dtype=np.float64)
 
+    def _pull(self, places: Posture, moment: Moment) -> Pull | None:
+        """What the gravity gradient does: J, Nm; None where there is none."""
+        if not self.gradient or moment.nadir is None:
+            return None
+        return pull(places, self.gradient * self.matrix, moment.nadir)
+
     def _add_rotors(self, mass: Array, along: Array) -> None:
         """Add what the rotors do to the inertia matrix after their own accelerations are eliminated. along: (..., N, U)
         rates of the carrying bodies about the axes."""
@@ -207,6 +214,9 @@ class SpatialDynamics(Drives):
         right[..., self._first :] += force
         if (pushing := self._base_torque(q, omega0, moment)) is not None:
             right[..., : self._first] += pushing
+        if (pulling := self._pull(places, moment)) is not None:
+            right[..., : self._first] += pulling.base
+            right[..., self._first :] += pulling.joints
         carrier = turns[..., :-1, :, :]
         along = np.einsum("...icu,...ic->...iu", carrier, axis)  # g_i: rate of the carrier about the axis
         gained = np.sum(axis * alpha[..., :-1, :], axis=-1)

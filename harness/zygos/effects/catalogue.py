@@ -568,6 +568,17 @@ ENTRIES = (
         formula="cos 2φ",
     ),
     Kind(
+        "gravity_gradient",
+        "gravity gradient",
+        "1/s^2",
+        "field",
+        twins=("base_torque",),
+        searched=False,
+        searched_last=True,
+        world="space",
+        formula="force (r r′ − 1/3) x on each kg at x from the mass centre; r points to the Earth; c = 3μ/r³",
+    ),
+    Kind(
         "detent_sin",
         "detent torque on the base (sine)",
         "Nm",
@@ -739,8 +750,11 @@ Coulomb friction beside it, which is an entry of its own.
 backlash: the spring's torque is k (theta - q) less c (theta - q) within the gap, and less c g beyond it. At c = k the
 gap is free of torque; a smaller c is a gap that is stiff to some degree. The coefficient is linear, the gap a shape.
 ripple: its order counts turns of the motor, before the gear, whose angle is n theta.
-gravity_gradient, detent: of unknown phase, so that each has a sine and a cosine. A detent of the second order looks
-like a gravity gradient, which stands for it.
+gravity_gradient: of an arm in space that knows where the Earth is at the start of each run. It turns with the base, and
+its torques on base and joints follow from the inertias. In a low orbit c is 3.8e-6 1/s^2.
+gravity_gradient_..., detent: of unknown phase, so that each has a sine and a cosine. A detent of the second order looks
+like a gravity gradient, which stands for it. The motion in a plane does not show how the mass of a body lies in the
+plane, so that the size of the torque is the coefficient.
 ..._dahl, ..._maxwell: friction whose sign follows the motion over a distance. That of a joint's deflection is the
 hysteresis of its spring.
 base_oscillator: fuel that sloshes or a panel that bends. It is driven by the turning of the base alone, and its inertia

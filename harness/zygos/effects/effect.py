@@ -69,6 +69,8 @@ class Effect:
             return "remove the entry, or write flexible = true in the arm file"
         if self.kind.key == "angular_momentum" and arm.free:
             return "remove the entry, and state angular_momentum_nms in the scenario"
+        if self.kind.place == "field" and arm.free and arm.spatial:
+            return "remove the entry, or state nadir in the arm file"
         return "remove the entry"
 
     def component_index(self, arm: Arm) -> int:

@@ -8,6 +8,7 @@ At each site the coefficient c of a law f acts in the same way for every law:
     spring   torque +c f on the link, -c f / n on the rotor
     torque   the motor's torque exceeds the reported one by c f
     base     torque +c f on the base, in base axes
+    field    force c (r r' - 1/3) x on each kg of the arm at x from its mass centre, r = `Arm.nadir`
     body     a base parameter is larger by c from an instant on
     sensor   a sensor reads what `Kind.transform` makes of the exact reading
     rotor    share of the rotor's inertia that the carrying body's rotation acts on
@@ -31,7 +32,7 @@ from zygos.effects.motion import Motion
 from zygos.errors import ZygosError
 
 Array = NDArray[np.float64]
-Place = Literal["motor", "link", "spring", "torque", "rotor", "base", "load", "sensor", "body"]
+Place = Literal["motor", "link", "spring", "torque", "rotor", "base", "field", "load", "sensor", "body"]
 PLACES: tuple[Place, ...] = get_args(Place)
 REMEMBERING: tuple[Place, ...] = ("motor", "link", "spring", "base")
 """Sites at which a law may have a memory."""
@@ -73,8 +74,8 @@ class Kind:
     unit: str
     place: Place
     law: Callable[[Motion, float], Array] | None = None
-    """f(motion, shape): torque per unit coefficient. None: a lag, a rotor's coupling, an angular momentum, a body, a
-    sensor."""
+    """f(motion, shape): torque per unit coefficient. None: a lag, a rotor's coupling, an angular momentum, a force
+    on all bodies, a body, a sensor."""
     potential: Callable[[Array, float], Array] | None = None
     """Integral of f over the deflection (spring) or over the motor's angle before the gear (torque), where that alone
     determines f; arguments as of a law."""
@@ -180,7 +181,7 @@ class Kind:
     @property
     def at_joint(self) -> bool:
         """Whether the effect belongs to a joint."""
-        return self.place not in ("base", "body") and self.sensor != "gyro"
+        return self.place not in ("base", "field", "body") and self.sensor != "gyro"
 
     @property
     def lags(self) -> bool:
@@ -201,6 +202,7 @@ class Kind:
             (joint < 0 and self.place != "body" and not arm.free, f"the base of {name} is fixed"),
             (self.world == "plane" and arm.spatial, f"{name} moves in space, where it is a vector"),
             (self.world == "space" and not arm.spatial, f"{name} moves in a plane"),
+            (self.place == "field" and arm.nadir is None, f"the arm file of {name} does not say where the Earth is"),
             (self.place == "spring" and rigid, f"the joint is rigid in {name} and has no spring"),
             (self.sensor == "motor" and rigid, f"the joint is rigid in {name} and has one encoder"),
             (

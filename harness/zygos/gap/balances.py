@@ -29,6 +29,7 @@ from scipy.spatial.transform import Rotation
 from zygos.arm import JOINT_ROW_S, Arm
 from zygos.balances import energy, impulse, joint, momentum
 from zygos.balances.effects import BaseSignals, Signals, energy_column, impulse_column, joint_column, momentum_column
+from zygos.balances.field import Pull, pull
 from zygos.balances.kinematics import Posture, body_columns, posture
 from zygos.balances.quadrature import FromOrigin, from_first, integral, step_integrals
 from zygos.balances.readings import Readings
@@ -37,6 +38,7 @@ from zygos.dynamics.joints import by_name
 from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name, columns_at
 from zygos.gap.parts import acted_on
 from zygos.gap.record import MeasuredRun, smoothed_states
+from zygos.model import gram
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -291,6 +293,9 @@ class Layout:
             return balance[0] != "M" or one.joint == own
         if place == "base":
             return balance[0] == "H" or (balance == "E" and one.kind.law is not None)
+        if place == "field":
+            # a rotor looks alike from every side
+            return balance[0] != "M"
         return place == "sensor"
 
 
@@ -472,6 +477,8 @@ class _Moving:
     """(A, instants) rad."""
     values: Array | None = None
     """(p,) base parameters."""
+    nadir: Array | None = None
+    """(A, instants, 3) unit vector to the Earth, base axes."""
 
     @classmethod
     def of(
@@ -483,8 +490,9 @@ class _Moving:
         before = readings.tau[..., half - 1 : cycles - half - 1, :]
         clocks = (np.full(after.shape[-3:-1], np.nan) if x is None else x for x in (readings.time, readings.turned))
         time, turned = (x[:, half : cycles - half] if x.shape[-1] == cycles else x for x in clocks)
+        nadir = None if readings.nadir is None else readings.nadir[:, half : cycles - half]
         smoothed = smoothed_states(arm, readings) if state is None else state
-        return cls(arm, smoothed, before, after, every, time, turned, values)
+        return cls(arm, smoothed, before, after, every, time, turned, values, nadir)
 
     @cached_property
     def thin(self) -> State:
@@ -565,8 +573,20 @@ class _Moving:
     @cached_property
     def base(self) -> BaseSignals:
         """Of the base."""
-        turned = self._attitude if self.arm.spatial else None
+        turned = self.turning if self.arm.spatial else None
         return BaseSignals(self.state.base, FromOrigin(self.arm.period_s), self.time, self.turned, turned)
+
+    @cached_property
+    def pull(self) -> Pull:
+        """What a gravity gradient does, at every instant; NaN without values."""
+        arm, q = self.arm, self.state.q
+        places, size = posture(arm, q), gram.directions(arm)
+        matrix = np.full((size, size), np.nan)
+        if self.values is not None:
+            kinetic = [by_name(arm, self.values)[name] for name in arm.full_body_names]
+            matrix = gram.from_parameters(arm, np.array(kinetic))
+        assert self.nadir is not None
+        return pull(places, matrix, np.broadcast_to(self.nadir, (*q.shape[:-1], 3)))
 
     def increments(self, running: Array) -> Array:
         """What grows over each increment, (..., A, m) of a running total (..., A, instants)."""
@@ -591,10 +611,10 @@ class _Moving:
     @cached_property
     def attitude(self) -> Array:
         """(..., A, m, 3, 3) from base axes to those at the arc's origin, at the instants of the rows."""
-        return self._attitude[..., :: self.every, :, :]
+        return self.turning[..., :: self.every, :, :]
 
     @cached_property
-    def _attitude(self) -> Array:
+    def turning(self) -> Array:
         """(..., A, instants, 3, 3) as `momentum.base_attitudes`."""
         h, omega = self.arm.period_s, self.state.base
         step = step_integrals(omega, h, axis=-2) + h * h / 12.0 * np.cross(omega[..., :-1, :], omega[..., 1:, :])
@@ -705,15 +725,29 @@ def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
         elif kind.place == "rotor":
             yield from _coupling(arm, moving, balance, i)
         elif kind.place == "base":
-            number = kind.components(arm).index(one.component)
-            if balance == "E":
-                yield moving.thinned(energy_column(kind, moving.base, one.shape, number))
-            else:
-                column = momentum_column(kind, moving.base, one.shape, number)
-                column = (
-                    column[..., "xyz".index(balance[1])] if arm.spatial else _since_start(column[..., 0], moving.time)
-                )
-                yield moving.thinned(column)
+            yield _on_base(arm, moving, balance, one)
+        elif kind.place == "field":
+            yield _pulled(arm, moving, balance)
+
+
+def _on_base(arm: Arm, moving: _Moving, balance: str, one: Acting) -> Array:
+    """(..., A, m) column of an effect of the base."""
+    number = one.kind.components(arm).index(one.component)
+    if balance == "E":
+        return moving.thinned(energy_column(one.kind, moving.base, one.shape, number))
+    column = momentum_column(one.kind, moving.base, one.shape, number)
+    column = column[..., "xyz".index(balance[1])] if arm.spatial else _since_start(column[..., 0], moving.time)
+    return moving.thinned(column)
+
+
+def _pulled(arm: Arm, moving: _Moving, balance: str) -> Array:
+    """(..., A, m) column of the gravity gradient."""
+    if balance == "E":
+        return moving.thinned(moving.pull.energy)
+    if balance[0] == "L":
+        return moving.increments(-integral(moving.pull.joints[..., int(balance[1:]) - 1], arm.period_s))
+    torque = (moving.turning @ moving.pull.base[..., None])[..., "xyz".index(balance[1]), 0]
+    return moving.thinned(-integral(torque, arm.period_s))
 
 
 def _since_start(column: Array, time: Array) -> Array:

@@ -65,7 +65,7 @@ class Hypothesis:
         """The balances without a constant of each arc: those of a momentum that is taken as known, and that no torque
         on the base changes."""
         acting = [self.layout.find(name).kind for name in self.effects]
-        pushed = any(kind.place == "base" and kind.law is not None for kind in acting)
+        pushed = any(kind.place == "field" or (kind.place == "base" and kind.law is not None) for kind in acting)
         momenta = self.layout.momenta if self.momentum is not None and not pushed else ()
         return tuple(self.layout.balances.index(name) for name in momenta)
 

@@ -57,6 +57,8 @@ class Stretches:
     """(S, 2n) since the run's first cycle."""
     turned: Array
     """(S,) angle that the base of a planar arm has turned since then, at the first sample, rad."""
+    nadir: Array | None
+    """(S, 3) unit vector to the Earth in base axes, at the first sample; None of an arm that does not know it."""
     runs: tuple[Readings, ...]
     """The arcs of the runs that they are cut from."""
     begin: NDArray[np.int64]
@@ -73,6 +75,7 @@ class Stretches:
             np.concatenate([one.guess for one in parts]),
             np.concatenate([one.time_s for one in parts]),
             np.concatenate([one.turned for one in parts]),
+            np.concatenate(faced) if (faced := [x for one in parts if (x := one.nadir) is not None]) else None,
             tuple(run for one in parts for run in one.runs),
             np.concatenate([one.begin + np.array([k, 0, 0]) for k, one in enumerate(parts)]),
         )
@@ -93,6 +96,7 @@ class Stretches:
             guess=self.guess[own],
             time_s=self.time_s[own],
             turned=self.turned[own],
+            nadir=None if self.nadir is None else self.nadir[own],
             begin=self.begin[own],
         )
 
@@ -175,7 +179,7 @@ class Forecast:
 def cut(record: MeasuredRun) -> Stretches:
     """Segments of the arcs of a run, as those of its twin. Errors: ZygosError where an arc has no second."""
     s = record.samples
-    seen = Readings(s.q, s.theta, record.omega0, s.tau, record.clock_s, record.turned)
+    seen = Readings(s.q, s.theta, record.omega0, s.tau, record.clock_s, record.turned, record.nadir)
     stretches = [(int(start), int(start) + record.cycles) for start in record.starts]
     return _segments(record.arm, seen, stretches, record.readings(), str(record.path))
 
@@ -188,6 +192,7 @@ def cut_twin(twin: Twin, seed: int = 0) -> Stretches:
     assert seen.turned is not None
     signals = (seen.q, seen.theta, seen.omega0, seen.tau, seen.time, seen.turned)
     flat = Readings(*(x.reshape(arcs * cycles, *x.shape[2:]) for x in signals))
+    flat = replace(flat, nadir=None if seen.nadir is None else seen.nadir.reshape(arcs * cycles, 3))
     stretches = [(i * cycles, (i + 1) * cycles) for i in range(arcs)]
     return _segments(twin.arm, flat, stretches, seen, "the twin")
 
@@ -218,10 +223,11 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     assert samples.time is not None
     assert samples.turned is not None
     turned = samples.turned[starts]
+    nadir = None if samples.nadir is None else samples.nadir[starts]
     begin = placed.copy()
     begin[:, 0] = 0
     before = samples.tau[starts - 1]
-    return Stretches(arm, readings, samples.tau[at], before, guess, samples.time[at], turned, (run,), begin)
+    return Stretches(arm, readings, samples.tau[at], before, guess, samples.time[at], turned, nadir, (run,), begin)
 
 
 def forecast(
@@ -256,6 +262,7 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect], 
             np.tile(segments.time_s[:, 0], copies),
             np.tile(segments.turned, copies),
             None if memory is None else np.tile(memory, (copies, 1)),
+            None if segments.nadir is None else np.tile(segments.nadir, (copies, 1)),
         )
         states, torques = replay(
             dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles + 1, steps, begin

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from zygos.arm import Arm
+from zygos.balances.field import nadir_along
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.can.run import Run
@@ -98,11 +100,18 @@ class MeasuredRun:
         steps = 0.5 * (self.omega0[1:] + self.omega0[:-1]) * np.diff(self.clock_s)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
+    @cached_property
+    def nadir(self) -> Array | None:
+        """(n, 3) unit vector to the Earth in base axes, by the gyro; None of an arm that does not know it."""
+        known = self.arm.nadir
+        return None if known is None else nadir_along(np.array(known), self.omega0, self.clock_s)
+
     def readings(self) -> Readings:
         """The samples of all arcs."""
         at = self.starts[:, None] + np.arange(self.cycles)
         s = self.samples
-        return Readings(s.q[at], s.theta[at], self.omega0[at], s.tau[at], self.clock_s[at], self.turned[at])
+        nadir = None if self.nadir is None else self.nadir[at]
+        return Readings(s.q[at], s.theta[at], self.omega0[at], s.tau[at], self.clock_s[at], self.turned[at], nadir)
 
 
 def read_measured_run(arm: Arm, path: Path, frames: NDArray[Any]) -> MeasuredRun:

@@ -298,10 +298,10 @@ def _balance(arm: Arm, failing: Failing) -> str:
 
 def _place(finding: Finding) -> str:
     """Where a finding acts."""
-    if finding.joint is None:
-        return "on the base"
-    side = {"motor": "at the motor side", "torque": "at the motor side", "link": "at the link side"}
     kind = finding.entry
+    if finding.joint is None:
+        return "on all bodies" if kind and kind.place == "field" else "on the base"
+    side = {"motor": "at the motor side", "torque": "at the motor side", "link": "at the link side"}
     return f"{side.get(kind.place if kind else '', 'at the joint')} of the {finding.joint}"
 
 

@@ -342,8 +342,8 @@ def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Stud
         record, exact = study.records[k], study.twins[k].exact
         own = arcs[k]
         records.append(replace(record, starts=record.starts[own]))
-        time, turned = (x if x is None else x[own] for x in (exact.time, exact.turned))
-        read = Readings(exact.q[own], exact.theta[own], exact.omega0[own], exact.tau[own], time, turned)
+        known = (x if x is None else x[own] for x in (exact.time, exact.turned, exact.nadir))
+        read = Readings(exact.q[own], exact.theta[own], exact.omega0[own], exact.tau[own], *known)
         twins.append(replace(study.twins[k], exact=read))
     accepted = tuple(study.accepted[k][arcs[k]] for k in kept)
     applied = study.applied[kept]
@@ -564,4 +564,5 @@ def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str, sensors: Se
     number = one.kind.components(arm).index(one.component)
     same = (one.kind.key, one.joint, number)
     laws = (*dynamics.laws, *dynamics.base_laws)
-    return sum(law.value for law in laws if (law.kind.key, law.joint, law.component) == same)
+    own = [law.value for law in laws if (law.kind.key, law.joint, law.component) == same]
+    return dynamics.gradient if one.kind.place == "field" else sum(own)

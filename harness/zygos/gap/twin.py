@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.field import nadir_along
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.joints import START, Drives, Moment
@@ -73,13 +74,16 @@ def follow(dynamics: Drives, records: Sequence[MeasuredRun], sensors: Sequence[E
     begin = Moment(*(np.concatenate([getattr(one, name)[:, 0] for one in seen]) for name in ("time", "turned")))
     kept = [memory[:, 0] for one in seen if (memory := memory_along(dynamics, arm, one)) is not None]
     begin = replace(begin, memory=np.concatenate(kept)) if kept else begin
+    faced = [one.nadir[:, 0] for one in seen if one.nadir is not None]
+    begin = replace(begin, nadir=np.concatenate(faced)) if faced else begin
     moved, applied = _servo(dynamics, path, tau, h, min(rate, 0.1 / h), begin)
     twins, first = [], 0
     for record, own in zip(records, seen, strict=True):
         rows_of = slice(first, first + len(record.starts))
         first += len(record.starts)
         twin = _twin(dynamics, arm, moved[rows_of, : record.cycles + 1], applied[rows_of, : record.cycles + 1])
-        twins.append(replace(twin, exact=sensed(arm, replace(twin.exact, time=own.time, turned=own.turned), sensors)))
+        exact = replace(twin.exact, time=own.time, turned=own.turned, nadir=own.nadir)
+        twins.append(replace(twin, exact=sensed(arm, exact, sensors)))
     return twins
 
 
@@ -106,7 +110,12 @@ def retrace(dynamics: Drives, record: MeasuredRun, speed: float, amplitude: floa
     twin = _twin(dynamics, arm, moved, applied)
     time = h * np.arange(twin.exact.q.shape[0] * twin.exact.q.shape[1]).reshape(twin.exact.q.shape[:2])
     rate = np.zeros(time.shape) if arm.spatial or not arm.free else twin.exact.omega0
-    return replace(twin, exact=replace(twin.exact, time=time, turned=h * np.cumsum(rate).reshape(time.shape)))
+    nadir = None
+    if arm.nadir is not None:
+        omega = twin.exact.omega0.reshape(-1, 3)
+        nadir = nadir_along(np.array(arm.nadir), omega, time.ravel()).reshape(*time.shape, 3)
+    turned = h * np.cumsum(rate).reshape(time.shape)
+    return replace(twin, exact=replace(twin.exact, time=time, turned=turned, nadir=nadir))
 
 
 def _twin(dynamics: Drives, arm: Arm, moved: Array, applied: Array) -> Twin:

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
+from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.balances.readings import Readings
@@ -88,7 +89,8 @@ class Trajectory:
         """Exact accelerations just after each SYNC: base as omega0, links (B, n, N), motors after the gear (B, n, N),
         rad/s^2."""
         angle = self.attitude if self.attitude.ndim == 2 else 0.0
-        moment = Moment(np.broadcast_to(self.t, self.q.shape[:-1]), angle, self.memory)
+        nadir = _nadir(self.arm, self.attitude) if self.arm.nadir else None
+        moment = Moment(np.broadcast_to(self.t, self.q.shape[:-1]), angle, self.memory, nadir)
         return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau, moment)
 
     def cycles(self, index: int = 0) -> Cycles:
@@ -200,6 +202,7 @@ class _Run:
         widths = [1, 1] if planar else [4, 3] if arm.free else [0, 0]
         self.drives = dynamics if isinstance(dynamics, Drives) and dynamics.states else None
         states = self.drives.states if self.drives else 0
+        self.sees_earth = isinstance(dynamics, Drives) and bool(dynamics.gradient)
         ends = np.cumsum([0, *widths, *[joints] * 5, 2 * states]).tolist()
         self.attitude, self.omega, *self.slices, self.kept = (slice(a, b) for a, b in pairwise(ends))
         self.ratio = arm.gear_ratios
@@ -365,7 +368,12 @@ class _Run:
             state[:, qd],
             state[:, thetad],
             self.tau + since * self.tau_rate,
-            Moment(self.begin + since, state[:, 0] if self.planar else 0.0, memory),
+            Moment(
+                self.begin + since,
+                state[:, 0] if self.planar else 0.0,
+                memory,
+                _nadir(self.arm, state[:, self.attitude]) if self.sees_earth else None,
+            ),
         )
         rate = np.empty_like(state)
         if self.drives and memory is not None:
@@ -462,6 +470,12 @@ def needed_torque(arm: Arm, dynamics: Dynamics, angle: Array, rate: Array, accel
     rest = reached(np.zeros(arm.n))
     gain = np.stack([(reached(unit * row) - rest) for row in np.eye(arm.n)], axis=-1)
     return np.asarray(unit * np.linalg.solve(gain, (acceleration - rest)[..., None])[..., 0], dtype=np.float64)
+
+
+def _nadir(arm: Arm, attitude: Array) -> Array:
+    """(..., 3) unit vector to the Earth in base axes, where the attitude is (..., 4)."""
+    back = Rotation.from_quat(attitude.reshape(-1, 4)).inv()
+    return np.asarray(back.apply(np.array(arm.nadir)), dtype=np.float64).reshape(*attitude.shape[:-1], 3)
 
 
 _TURN_OF = np.array([[3, 2, 1], [2, 3, 0], [1, 0, 3], [0, 1, 2]])
