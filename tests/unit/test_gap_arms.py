@@ -17,10 +17,13 @@ from scipy.stats import binom
 
 from oracles.arms import Plant, spatial
 from oracles.hidden import Law, LinkViscous, MotorCoulomb, TidalField
+from oracles.tree import Payload
 from zygos.can.run import Run
 from zygos.dynamics.equations import from_model, parameters
 from zygos.effects import CATALOGUE, columns_at
 from zygos.gap.balances import Acting, thinning, zero_columns
+from zygos.gap.changes import BODIES, find_change, settled
+from zygos.gap.explain import SMALL
 from zygos.gap.fit import fit, shares_of_pairs
 from zygos.gap.forecast import cut, cut_twin, forecast
 from zygos.gap.null import FALSE_ALARMS, FLOOR, chance, null_scores, null_sigmas
@@ -110,6 +113,27 @@ def test_what_is_hidden_stands_out_with_its_size(name: str, column: str) -> None
     assert np.all(over < np.maximum(0.4, 4.0 * after.wobble))
     instead = found.of(replace(found.hypothesis, effects=BESIDE[column]))
     assert np.nansum((instead.rms / found.noise) ** 2) > 2.0 * np.nansum(after.excess**2)
+
+
+@pytest.mark.slow
+def test_what_was_recorded_after_a_payload_closes_in_a_few_steps() -> None:
+    """The fit to both sides of the change is so far off that the first twin of what came after it does not close."""
+    trial = spatial()
+    drawn = replace(trial.drawn, effects=())
+    x, y, z = (2.0 * far for far in drawn.bodies[-1].origin_xyz)
+    payload = Payload(0.1 * drawn.bodies[-1].mass.value, 15.0, (x, y, z))
+    plant = Plant(trial, drawn, payload=payload)
+    runs = (Run(trial.arm, table=plant.run(which, 3)[0], path=Path("abc"[which])) for which in (0, 1))
+    found = begun(trial, tuple(map(record_of, runs)), ())
+    change = find_change(found, [])
+    assert change is not None
+    assert (change.what, change.run, change.arc) == (BODIES, 1, 2)
+    apart = settled(found, change, SMALL)
+    assert apart is not None
+    _, now, was = apart
+    print(now.excess, now.value - was.value if was else None)
+    assert np.nanmax(now.excess) < SMALL
+    assert was is not None
 
 
 def test_the_largest_score_of_runs_that_lack_nothing() -> None:

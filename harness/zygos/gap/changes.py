@@ -29,6 +29,9 @@ _STEP = 0.5
 """Share of what an effect with a beginning takes away that the same effect without one must leave."""
 _FAR = 2.0
 """Multiple of what a balance may leave over from which on more draws of its twin say nothing else."""
+_ROUNDS = 5
+_FALLS = 0.7
+"""Share of what is left over that a further twin has to leave at the most to be followed by another."""
 _TAKES = 0.6
 """Share of what is left over beyond noise that a change must take away."""
 
@@ -103,8 +106,7 @@ def _closed(study: Study, hypothesis: Hypothesis, parts: Sequence[list[slice]], 
     twin does; None where each does. Errors: Undecided where the first does not tell the coefficients apart."""
     for number, arcs in enumerate(parts):
         try:
-            # the twins that are there are of an arm that is neither the one before nor the one after
-            few = again(part_of(study, arcs, hypothesis), hypothesis, FEW)
+            few = _approached(part_of(study, arcs, hypothesis), hypothesis, _FAR * allowed)
             if np.nanmax(few.excess) > _FAR * allowed:
                 continue
             found = again(few, hypothesis)
@@ -115,6 +117,24 @@ def _closed(study: Study, hypothesis: Hypothesis, parts: Sequence[list[slice]], 
         if np.nanmax(found.excess) <= allowed:
             return found
     return None
+
+
+def _approached(study: Study, hypothesis: Hypothesis, enough: float) -> Study:
+    """The same runs with a twin of their own, again and again while what is left over falls and is not `enough`.
+
+    The twins that are there are of an arm that is neither the one before nor the one after, and so are the values from
+    which errors of sensors are judged.
+    """
+    now = again(study, hypothesis, FEW)
+    for _ in range(_ROUNDS):
+        most = float(np.nanmax(now.excess))
+        if most <= enough:
+            break
+        then = again(now, hypothesis, FEW)
+        if np.nanmax(then.excess) > _FALLS * most:
+            break
+        now = then
+    return now
 
 
 def _after(study: Study, change: Change, spared: int) -> list[slice]:
