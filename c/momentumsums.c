@@ -77,6 +77,17 @@ static void clear_gram(zygos_momentum_gram_t *gram, uint32_t width)
     memset(gram->sum, 0, width * sizeof gram->sum[0]);
 }
 
+/* What rows of that width use of a block. */
+static void copy_block(zygos_momentum_block_t *to, const zygos_momentum_block_t *from, uint32_t width)
+{
+    memcpy(to->rows.gram, from->rows.gram, zygos_gram_entries(width) * sizeof to->rows.gram[0]);
+    memcpy(to->rows.sum, from->rows.sum, width * sizeof to->rows.sum[0]);
+    to->instants = from->instants;
+    to->fade = from->fade;
+    to->end = from->end;
+    to->checksum = from->checksum;
+}
+
 static void add_gram(zygos_momentum_gram_t *to, const zygos_momentum_gram_t *from, double factor, uint32_t width)
 {
     const uint32_t size = zygos_gram_entries(width);
@@ -270,9 +281,7 @@ bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle)
     }
     judge(self);
     zygos_momentum_block_t *closing = &ZYGOS_MOMENTUM_CLOSING(self);
-    memcpy(closing->rows.gram, self->arc.rows.gram, zygos_gram_entries(width_of(self)) * sizeof closing->rows.gram[0]);
-    memcpy(closing->rows.sum, self->arc.rows.sum, width_of(self) * sizeof closing->rows.sum[0]);
-    closing->instants = self->arc.instants;
+    copy_block(closing, &self->arc, width_of(self));
     closing->fade = 1.0;
     closing->end = cycle;
     clear_gram(&self->arc.rows, width_of(self));
@@ -483,12 +492,7 @@ static void shift(zygos_momentum_sums_t *self)
     }
     const zygos_momentum_block_t *from = &self->block[self->place + 1u];
     zygos_momentum_block_t *to = &self->block[self->place];
-    memcpy(to->rows.gram, from->rows.gram, zygos_gram_entries(width_of(self)) * sizeof to->rows.gram[0]);
-    memcpy(to->rows.sum, from->rows.sum, width_of(self) * sizeof to->rows.sum[0]);
-    to->instants = from->instants;
-    to->fade = from->fade;
-    to->end = from->end;
-    to->checksum = from->checksum;
+    copy_block(to, from, width_of(self));
     self->place++;
 }
 

@@ -48,11 +48,11 @@ def _load() -> tuple[Any, Any]:
         raise ZygosError(
             f"the C library is not built ({error}); remedy: run `make build`, or install the package with pip"
         ) from error
-    sizes = [binding.sizeof(f"zygos_{name}_t") for name in ("config", "work", "estimate", "cycle", "frame")]
-    sizes[1] -= binding.sizeof("zygos_solver_t")
+    sizes = {name: binding.sizeof(f"zygos_{name}_t") for name in ("config", "work", "estimate", "cycle", "frame")}
+    sizes["work"] -= binding.sizeof("zygos_solver_t")  # it has pointers
     version = library.ZYGOS_VERSION_MAJOR_VALUE * 256 + library.ZYGOS_VERSION_MINOR_VALUE
     abi = binding.sizeof("zygos_t")
-    for part in (*sizes, library.ZYGOS_MAX_JOINTS_VALUE, version, library.ZYGOS_LAYOUT_VALUE):
+    for part in (*sizes.values(), library.ZYGOS_MAX_JOINTS_VALUE, version, library.ZYGOS_LAYOUT_VALUE):
         abi = (abi ^ part) * 16777619 & 0xFFFFFFFF
     if library.zygos_declarations_digest() != declared["DIGEST"] or library.zygos_abi() != abi:
         raise ZygosError(
@@ -534,8 +534,7 @@ class Flight:
         if self._work.solver.joints_alone:
             whole = float(self._work.solver.spread)
             return result.residual**2 * float(self._work.solver.instants) / whole if whole > 0.0 else float("nan")
-        full = self._total()
-        spread = float(full[-2, -2])
+        spread = float(self._total()[-2, -2])
         return result.residual**2 * result.accepted / spread if spread > 0.0 else float("nan")
 
     def noise(self) -> NDArray[np.float64]:
