@@ -17,9 +17,14 @@ from zygos.can.run import Run
 from zygos.gap.balances import law_along
 from zygos.gap.form import form_sigma
 from zygos.gap.ground import explain
+from zygos.gap.ground.columns import Table
 from zygos.gap.ground.explain import explain_ground
+from zygos.gap.ground.form import form_sigmas
+from zygos.gap.ground.predictions import Stage
+from zygos.gap.ground.search import Search
 from zygos.gap.runs import record_of
 from zygos.gap.study import Study, again, base_values
+from zygos.model.model import Model
 
 SIZE, COLUMN = 0.004, "motor_coulomb2"
 
@@ -60,16 +65,24 @@ def test_the_size_that_a_form_leaves_open_on_the_ground(
 ) -> None:
     trial = pendulum()
     model = replace(trial.drawn, effects=())
-    made = [Plant(trial, model, (law,)).run(which, 3, 2.0 * SECONDS) for which in (0, 1)]
+    made = [Plant(trial, model, (law,)).run(which, 3, SECONDS) for which in (0, 1)]
     runs = [Run(trial.arm, table=cycles, path=Path(name)) for (cycles, _), name in zip(made, "ab", strict=True)]
     size = projected(law, [motion for _, motion in made], 0)
+    forms: dict[str, float] = {}
+
+    def noted(simulation: Model, table: Table, found: Search, stage: Stage) -> dict[str, float]:
+        forms.update(form_sigmas(simulation, table, found, stage))
+        return forms
+
+    monkeypatch.setattr(explain, "form_sigmas", noted)
     (finding,) = (one for one in explain_ground(trial.arm, model, runs).findings if one.kind == COLUMN[:-1])
-    monkeypatch.setattr(explain, "form_sigmas", lambda *_: {})
-    (plain,) = (one for one in explain_ground(trial.arm, model, runs).findings if one.kind == COLUMN[:-1])
-    print(finding.value, size, plain.sigma, finding.sigma)
-    assert finding.value == plain.value
+    form = forms[f"{COLUMN[:-1]}1"]
+    print(finding.value, size, finding.sigma, form)
+    assert least < form / finding.value < most
+    # what the noise leaves open is added to it, and is what a law of the column's form leaves open
+    noise = np.sqrt(finding.sigma**2 - form**2)
+    assert 0.0 < noise < 0.02 * finding.value
     assert abs(finding.value - size) < 2.0 * finding.sigma
-    assert least < np.sqrt(finding.sigma**2 - plain.sigma**2) / finding.value < most
 
 
 def test_a_law_along_a_run() -> None:
