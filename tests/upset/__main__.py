@@ -20,7 +20,7 @@ from zygos.files.output import write_json, write_text
 
 DOCUMENT = ROOT / "docs" / "upset.md"
 BEGIN, END = "<!-- make upset writes this -->\n", "<!-- to here -->"
-TRIALS = {"planar": 96_000, "spatial": 4_000}
+TRIALS = {"planar": 96_000, "in_place": 48_000, "spatial": 4_000}
 LIMIT = 1e-4
 """Most silent trials, as a share of all."""
 

@@ -3,7 +3,8 @@
    campaign RUN FIRST LAST TRIALS SEED OUT. RUN is what bench/configurations.py writes: three uint32 (size of a
    configuration, size of a frame, number of frames), the configuration and the frames. Bits flip in cycles FIRST to
    LAST; OUT receives a record for each trial. The caller does what the manual asks: zygos_scrub() once in an arc and
-   before each zygos_take(), and whenever a call returns an error. */
+   before each zygos_take() or zygos_solve_in_place(), and whenever a call returns an error. With CAMPAIGN_IN_PLACE the
+   estimates are made without a copy of the sums. */
 
 #include <signal.h>
 #include <stdint.h>
@@ -53,7 +54,11 @@ static uint32_t every; /* cycles from look to look: an arc */
 static look_t *look;   /* of the flight without a flip */
 static zygos_t *stored;
 static zygos_t *arm;
+#ifdef CAMPAIGN_IN_PLACE
+static zygos_solver_t solver;
+#else
 static zygos_work_t work;
+#endif
 static zygos_estimate_t estimate;
 
 static void *room_for(size_t bytes)
@@ -101,10 +106,19 @@ static bool feed(uint32_t k)
     return quiet;
 }
 
-static void see(look_t *out)
+static void estimate_now(void)
 {
+#ifdef CAMPAIGN_IN_PLACE
+    (void)zygos_solve_in_place(arm, &solver, &estimate);
+#else
     zygos_take(arm, &work);
     (void)zygos_solve(&work, &estimate);
+#endif
+}
+
+static void see(look_t *out)
+{
+    estimate_now();
     (void)zygos_adopt(arm, &estimate);
     memset(out, 0, sizeof *out);
     out->estimate = estimate;

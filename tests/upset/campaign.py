@@ -38,11 +38,16 @@ class Campaign:
     duration_s: float
     first: int
     """First cycle in which bits flip; by then an estimate is adopted."""
+    in_place: bool = False
+    """Whether estimates are made without a copy of the sums, `zygos_solve_in_place()`."""
 
 
+PLANAR = ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0", "-DZYGOS_MOMENTUM=0")
+FEWEST = ("-DZYGOS_MAX_BLOCKS=11", "-DZYGOS_MAX_MOTOR_BLOCKS=4")
 CAMPAIGNS = {
-    "planar": Campaign(
-        "2 joints in a plane", "paper", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0", "-DZYGOS_MOMENTUM=0"), 120.0, 1500
+    "planar": Campaign("2 joints in a plane", "paper", PLANAR, 120.0, 1500),
+    "in_place": Campaign(
+        "2 joints in a plane, 11 blocks, solved in place", "paper", (*PLANAR, *FEWEST), 120.0, 1500, in_place=True
     ),
     "spatial": Campaign("3 joints in space", "spatial", ("-DZYGOS_MAX_JOINTS=3",), 30.0, 12000),
 }
@@ -63,7 +68,8 @@ def build(one: Campaign, folder: Path) -> Path:
     program = folder / "campaign"
     sources = [*sorted((ROOT / "c").glob("*.c")), ROOT / "tests" / "upset" / "campaign.c"]
     flags = [flag for flag in house_flags() if flag != "-std=c11"]
-    command = ["gcc", "-std=gnu11", *flags, "-g", *SANITIZED, *one.capacities, f"-I{ROOT / 'include'}"]
+    chosen = [*one.capacities, *(["-DCAMPAIGN_IN_PLACE"] if one.in_place else [])]
+    command = ["gcc", "-std=gnu11", *flags, "-g", *SANITIZED, *chosen, f"-I{ROOT / 'include'}"]
     subprocess.run([*command, *map(str, sources), "-o", str(program)], check=True)
     return program
 

@@ -12,12 +12,13 @@ TRIALS = 500
 
 
 @pytest.mark.slow
-def test_no_flipped_bit_makes_the_library_crash_or_hang(tmp_path: Path) -> None:
-    records = fly("planar", TRIALS, folder=tmp_path)
+@pytest.mark.parametrize("name", ["planar", "in_place"])
+def test_no_flipped_bit_makes_the_library_crash_or_hang(name: str, tmp_path: Path) -> None:
+    records = fly(name, TRIALS, folder=tmp_path)
     counts = {outcome: int((records["outcome"] == k).sum()) for k, outcome in enumerate(OUTCOMES)}
     assert counts["crash"] == counts["hang"] == counts["unfinished"] == 0
     assert counts["silent"] <= 2
     assert counts["detected"] > TRIALS // 20
-    hit = members("planar", records)
+    hit = members(name, records)
     assert sum(hit.values()) == TRIALS
     assert hit.most_common(1)[0][0] == "accumulator.block.gram"
