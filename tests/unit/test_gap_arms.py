@@ -15,7 +15,7 @@ import pytest
 from gap_arms_support import SECONDS, begun, standing
 from scipy.stats import binom
 
-from oracles.arms import Plant, spatial
+from oracles.arms import Dirt, Plant, spatial
 from oracles.hidden import Law, LinkViscous, MotorCoulomb, TidalField
 from oracles.tree import Payload
 from zygos.can.run import Run
@@ -23,7 +23,7 @@ from zygos.dynamics.equations import from_model, parameters
 from zygos.effects import CATALOGUE, columns_at
 from zygos.gap.balances import Acting, thinning, zero_columns
 from zygos.gap.changes import BODIES, find_change, settled
-from zygos.gap.explain import SMALL
+from zygos.gap.explain import SMALL, explain
 from zygos.gap.fit import fit, shares_of_pairs
 from zygos.gap.forecast import cut, cut_twin, forecast
 from zygos.gap.null import FALSE_ALARMS, FLOOR, chance, null_scores, null_sigmas
@@ -32,6 +32,7 @@ from zygos.gap.runs import record_of
 from zygos.gap.study import Study, again, base_values
 from zygos.gap.torques import torque_noise
 from zygos.gap.twin import draws, follow
+from zygos.gap.verdicts import Changed
 
 TRIALS = {"spatial": spatial, "standing": standing}
 LAWS: dict[str, type[Law]] = {
@@ -115,25 +116,47 @@ def test_what_is_hidden_stands_out_with_its_size(name: str, column: str) -> None
     assert np.nansum((instead.rms / found.noise) ** 2) > 2.0 * np.nansum(after.excess**2)
 
 
+LOADED = replace(spatial().drawn, effects=())
+
+
+def loaded(dirt: Dirt | None, count: int) -> tuple[MeasuredRun, ...]:
+    """The first runs of three; in the middle of the second one, the arm in space takes up a payload."""
+    x, y, z = (2.0 * far for far in LOADED.bodies[-1].origin_xyz)
+    plant = Plant(spatial(), LOADED, payload=Payload(0.1 * LOADED.bodies[-1].mass.value, 15.0, (x, y, z)), dirt=dirt)
+    runs = (Run(spatial().arm, table=plant.run(which, 3)[0], path=Path("abc"[which])) for which in range(count))
+    return tuple(map(record_of, runs))
+
+
 @pytest.mark.slow
 def test_what_was_recorded_after_a_payload_closes_in_a_few_steps() -> None:
     """The fit to both sides of the change is so far off that the first twin of what came after it does not close."""
-    trial = spatial()
-    drawn = replace(trial.drawn, effects=())
-    x, y, z = (2.0 * far for far in drawn.bodies[-1].origin_xyz)
-    payload = Payload(0.1 * drawn.bodies[-1].mass.value, 15.0, (x, y, z))
-    plant = Plant(trial, drawn, payload=payload)
-    runs = (Run(trial.arm, table=plant.run(which, 3)[0], path=Path("abc"[which])) for which in (0, 1))
-    found = begun(trial, tuple(map(record_of, runs)), ())
+    found = begun(spatial(), loaded(None, 2), ())
     change = find_change(found, [])
     assert change is not None
-    assert (change.what, change.run, change.arc) == (BODIES, 1, 2)
+    assert (change.what, change.run, change.arc, change.torn) == (BODIES, 1, 1, True)
+    assert (change.before_s, change.after_s) == pytest.approx((10.0, 20.0), abs=0.1)
+    assert change.share > 0.95
     apart = settled(found, change, SMALL)
     assert apart is not None
     _, now, was = apart
     print(now.excess, now.value - was.value if was else None)
     assert np.nanmax(now.excess) < SMALL
     assert was is not None
+
+
+@pytest.mark.slow
+def test_a_payload_beside_errors_of_the_torque_sensors() -> None:
+    """Offsets, gains and noise of the torques, of which the arm file says nothing, stand for the payload until the
+    change is sought."""
+    dirt = Dirt(np.array([0.002, 0.003, 0.004]), np.array([0.0, 0.012, -0.015]), np.array([0.02, -0.03, 0.01]))
+    first, second, kept = loaded(dirt, 3)
+    found = explain(spatial().arm, LOADED, (first, second), (kept,))
+    assert all(joint.torque_sigma > 0.0 for joint in found.arm.joints)
+    assert isinstance(found.verdict, Changed), found.sentence
+    (mass,) = (one for one in found.verdict.payload if one.name == "m3")
+    low, high = mass.interval
+    assert low < 0.1 * LOADED.bodies[-1].mass.value < high
+    assert high - low < 0.2
 
 
 def test_the_largest_score_of_runs_that_lack_nothing() -> None:

@@ -41,7 +41,7 @@ def flown(instant: float) -> tuple[MeasuredRun, ...]:
 
 @pytest.mark.parametrize(
     ("simulation", "instant", "within"),
-    [(MODEL, 12.0, (0, 20)), (MODEL, 18.0, (10, 30)), (ASSUMING, 20.0, (10, 30))],
+    [(MODEL, 12.0, (10, 20)), (MODEL, 18.0, (10, 20)), (ASSUMING, 20.0, (10, 30))],
 )
 def test_a_payload_that_is_taken_up_within_a_run(simulation: Model, instant: float, within: tuple[int, int]) -> None:
     first, second, kept = flown(instant)

@@ -1,7 +1,8 @@
 """When something changed: a coefficient, or the bodies as a payload changes them, that is another after an instant.
 
 Rows are summed arc by arc. A change multiplies columns by a step from an arc on, so that every candidate and every
-instant between two arcs is one small solve.
+instant between two arcs is one small solve. Errors of the sensors are fitted beside it in every run: those that were
+found without the change stand for it.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ _FALLS = 0.7
 """Share of what is left over that a further twin has to leave at the most to be followed by another."""
 _TAKES = 0.6
 """Share of what is left over beyond noise that a change must take away."""
+_TORN = 0.5
+"""Share of what the best change between two arcs leaves over from which on an arc is taken as torn apart by one."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,9 @@ class Change:
     run: int
     """The run (from 0) in which it is first seen."""
     arc: int
-    """The arc (from 0) of that run with which it is certain; 0: it happened between two runs."""
+    """The arc (from 0) of that run with which it is certain, or which it tears apart."""
+    torn: bool
+    """Whether the instant lies within that arc, which is neither of before nor of after."""
     after_s: float
     """Time in that run at which it is there at the latest, s."""
     before_s: float
@@ -66,7 +71,7 @@ class Change:
     @property
     def between(self) -> bool:
         """Whether it happened between two runs."""
-        return self.arc == 0
+        return self.arc == 0 and not self.torn
 
 
 def settled(study: Study, change: Change, allowed: float) -> tuple[Change, Study, Study | None] | None:
@@ -75,7 +80,7 @@ def settled(study: Study, change: Change, allowed: float) -> tuple[Change, Study
     times what its twin does: what is left over is no matter of time.
 
     The arc with which it is first seen, and the one before it, may hold the instant: each is left out where something
-    is left over with it.
+    is left over with it, and an arc that is torn apart always.
     Errors: Undecided where too little was recorded after it.
     """
     hypothesis = study.hypothesis
@@ -85,7 +90,8 @@ def settled(study: Study, change: Change, allowed: float) -> tuple[Change, Study
         # what is taken up brings its own momentum, and what is left takes some away
         wider = replace(wider, momentum=None)
     spares = (0,) if change.between else (0, 1)
-    now = _closed(study, wider, [_after(study, change, spared) for spared in spares], allowed)
+    later = [_after(study, change, spared) for spared in ((1,) if change.torn else spares)]
+    now = _closed(study, wider, later, allowed)
     if now is None:
         return None
     places = [wider.names.index(name) for name in change.names]
@@ -158,7 +164,8 @@ class _Arc:
     begin_s: float
     end_s: float
     gram: Array
-    """(c + 1, c + 1) of all coefficients, candidates and the right side, weighted."""
+    """(s + c + 1, s + c + 1) of the errors of the sensors, of all coefficients and candidates, and of the right side,
+    weighted."""
     expected: float
     """What noise adds to the sum of squares of the right side."""
 
@@ -172,45 +179,52 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
     arcs = [arc for run in range(len(study.records)) for arc in _arcs(study, run, names)]
     if len(arcs) < 2:
         return None
-    own = len(study.hypothesis.names)
-    total = np.sum([arc.gram for arc in arcs], axis=0)
-    shared = list(range(own))
-    left = _solved(total, shared)[1]
-    naive = np.sqrt(np.diag(np.linalg.pinv(_block(total, shared), hermitian=True)))
+    own, count = len(study.hypothesis.names), len(names)
+    total = _stepped(study, arcs, len(arcs))
+    naive = np.sqrt(np.diag(np.linalg.pinv(_block(total, range(own)), hermitian=True)))
     # neighbouring rows share their noise; the twin's draws say by how much that widens the deviations
     widened = float(np.median(study.spread / np.maximum(naive, 1e-300)))
-    floor = float(sum(arc.expected for arc in arcs))
-    excess = left - floor
     inertial = [k for k, name in enumerate(names) if name in _inertial(study)]
     groups = [(name, [k]) for k, name in enumerate(names)] + [(BODIES, inertial)]
-    # what an effect explains that was there all the time is no change
-    always = {k: _solved(total, [*shared, k])[1] for k in range(own, len(names))}
     best: tuple[float, Change] | None = None
-    for cut in range(1, len(arcs)):
-        after = np.sum([arc.gram for arc in arcs[cut:]], axis=0)
+    for cut, torn in _cuts(len(arcs)):
+        kept = [*arcs[:cut], *arcs[cut + torn :]]
+        floor = sum(arc.expected for arc in kept)
+        stepped = _stepped(study, kept, cut)
+        rest = _beside(stepped, own)
+        left = float(rest[-1, -1])
+        excess = left - floor
+        if torn and excess <= EXCESS * floor:
+            # an arc that disagrees with all others is no change
+            continue
         for what, columns in groups:
-            stepped = _stepped(total, after, columns)
-            free = [*shared, *range(len(total) - 1, len(total) - 1 + len(columns))]
-            found, rest = _solved(stepped, free)
-            delta = found[own:]
-            inverse = np.linalg.pinv(_block(stepped, free), hermitian=True)[own:, own:] * widened**2
+            at = [count - own + k for k in columns]
+            delta, over = _solved(rest, at)
+            inverse = np.linalg.pinv(_block(rest, at), hermitian=True) * widened**2
             square = float(delta @ np.linalg.pinv(inverse, hermitian=True) @ delta)
             z = float(np.sqrt(max(square, 0.0) / len(columns)))
-            share = (left - rest) / excess if excess > 0.0 else 1.0
-            if len(columns) == 1 and always.get(columns[0], left) - rest < _STEP * (left - rest):
+            share = (left - over) / excess if excess > 0.0 else 1.0
+            if z < CERTAIN or (excess > EXCESS * floor and share < _TAKES):
+                continue
+            # what an effect explains that was there all the time is no change
+            if columns[0] >= own and _solved(rest, [columns[0] - own])[1] - over < _STEP * (left - over):
                 continue
             # each column takes away a little by chance
-            score = rest + 2.0 * len(columns) * widened**2 * np.log(max(floor / widened**2, np.e))
-            if z < CERTAIN or (excess > EXCESS * floor and share < _TAKES) or (best is not None and score >= best[0]):
+            score = over + 2.0 * len(columns) * widened**2 * np.log(max(floor / widened**2, np.e))
+            # what is left out is left over as well
+            score = score + arcs[cut].expected if torn else score
+            if best is not None and score >= (_TORN if torn and not best[1].torn else 1.0) * best[0]:
                 continue
+            found = _solved(stepped, [*range(own), *(count + k for k in columns)])[0]
             old = np.array([found[k] if k < own else 0.0 for k in columns])
-            first, last = arcs[cut], arcs[cut - 1]
+            first = arcs[cut]
             change = Change(
                 what,
                 first.run,
                 first.number,
+                torn,
                 first.end_s,
-                last.begin_s,
+                (first if torn else arcs[cut - 1]).begin_s,
                 tuple(names[k] for k in columns),
                 old,
                 old + delta,
@@ -222,12 +236,18 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
     return None if best is None else best[1]
 
 
+def _cuts(count: int) -> Iterator[tuple[int, bool]]:
+    """The arcs with which a change may be certain, and those that one may tear apart, between others."""
+    yield from ((cut, False) for cut in range(1, count))
+    yield from ((cut, True) for cut in range(1, count - 1))
+
+
 def _inertial(study: Study) -> set[str]:
     return {one.name for one in study.layout.arm.parameters if one.joint is None}
 
 
 def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
-    """Weighted sums of each arc of a run, with the zeros of the sensors at their fitted values."""
+    """Weighted sums of each arc of a run."""
     record, accepted = study.records[run], study.accepted[run]
     arm, layout = record.arm, study.layout
     rows = balance_rows(layout, record.readings(), base_values(study.model, layout), every=thinning(arm))
@@ -237,20 +257,16 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
     order = [wider.names.index(name) for name in names]
     zeros = len(layout.zeros)
     basis = wider.basis()
-    mix = np.concatenate([basis[:, zeros:][:, order], basis[:, -1:]], axis=1)
-    fixed = basis[:, :zeros] @ study.fit.zeros[run]
+    mix = np.concatenate([basis[:, :zeros], basis[:, zeros:][:, order], basis[:, -1:]], axis=1)
     expected = study.sums[run].noise
     used = study.hypothesis.balances
-    grams = [np.zeros((len(names) + 1, len(names) + 1)) for _ in record.starts]
+    grams = [np.zeros((mix.shape[1], mix.shape[1])) for _ in record.starts]
     expects = [0.0] * len(grams)
     for k in used:
         own, columns = rows.balances[k], layout.used[k]
         kept = kept_rows(own, accepted)
         places = np.append(columns, len(layout.columns))
-        z = np.concatenate([own.left, own.right[..., None]], axis=-1)
-        z = np.concatenate(
-            [z @ mix[places][:, :-1], (z @ mix[places][:, -1] - own.left @ fixed[columns])[..., None]], axis=-1
-        )
+        z = np.concatenate([own.left, own.right[..., None]], axis=-1) @ mix[places]
         scale = float(study.weight[k] ** 2 * np.mean(study.noise[:, k] ** 2))
         noise = np.zeros_like(grams[0]) if expected is None else mix[places].T @ expected[k] @ mix[places]
         for a, good in enumerate(kept):
@@ -269,17 +285,46 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
         yield _Arc(run, a, first, first + record.cycles * arm.period_s, grams[a], expects[a])
 
 
-def _stepped(total: Array, after: Array, columns: Sequence[int]) -> Array:
-    """Sums with columns added (before the right side) that are those listed, from an arc on."""
-    wide, count = len(total), len(columns)
-    out = np.zeros((wide + count, wide + count))
-    old = [*range(wide - 1), wide + count - 1]
-    new = list(range(wide - 1, wide - 1 + count))
-    out[np.ix_(old, old)] = total
-    out[np.ix_(old, new)] = after[:, columns]
-    out[np.ix_(new, old)] = after[columns]
-    out[np.ix_(new, new)] = after[np.ix_(columns, columns)]
-    return out
+def _stepped(study: Study, arcs: Sequence[_Arc], cut: int) -> Array:
+    """(2c + 1, 2c + 1) sums of all columns, of the same columns from an arc on, and of the right side; the errors of
+    each run's sensors are eliminated, held by what the arm file knows of them."""
+    zeros = len(study.layout.zeros)
+    prior = np.diag(study.layout.zero_sigma**-2.0)
+    count = len(arcs[0].gram) - zeros - 1
+    later = np.arange(zeros + count, zeros + 2 * count)
+    places = np.append(np.arange(zeros + count), zeros + 2 * count)
+    both = np.zeros((2 * count + 1, 2 * count + 1))
+    for run, sums in enumerate(study.sums):
+        whole = np.zeros((zeros + 2 * count + 1, zeros + 2 * count + 1))
+        for number, arc in enumerate(arcs):
+            if arc.run != run:
+                continue
+            whole[np.ix_(places, places)] += arc.gram
+            if number >= cut:
+                # a column and the same column from here on are one in this arc
+                wide, narrow = arc.gram[:, zeros:-1], arc.gram[zeros:-1, zeros:-1]
+                whole[np.ix_(places, later)] += wide
+                whole[np.ix_(later, places)] += wide.T
+                whole[np.ix_(later, later)] += narrow
+        whole[:zeros, :zeros] += prior
+        if sums.applied is not None:
+            known = prior @ sums.applied
+            whole[:zeros, -1] -= known
+            whole[-1, :zeros] -= known
+            whole[-1, -1] += float(sums.applied @ known)
+        found = np.linalg.solve(whole[:zeros, :zeros], whole[:zeros, zeros:])
+        both += whole[zeros:, zeros:] - whole[zeros:, :zeros] @ found
+    return both
+
+
+def _beside(sums: Array, count: int) -> Array:
+    """Sums of all but the first columns, beside these."""
+    shared, others = list(range(count)), list(range(count, len(sums)))
+    across = sums[np.ix_(shared, others)]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(sums)[:count], 1e-300))
+    inverse = np.linalg.pinv(_block(sums, shared) * scale * scale[:, None], rcond=1e-13, hermitian=True)
+    scaled = across * scale[:, None]
+    return np.asarray(sums[np.ix_(others, others)] - scaled.T @ inverse @ scaled, dtype=np.float64)
 
 
 def _block(gram: Array, free: Sequence[int]) -> Array:

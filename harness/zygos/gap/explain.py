@@ -315,11 +315,11 @@ class _Explainer:
         self.most = most
         self._take(likely)
         refit = self._own_equations()
-        if likely != declared and _too_quiet(refit).any():
+        if likely != declared and _torques_too_quiet(refit).any():
             # noise that only seems to be there
             self._take(declared)
             plain = self._own_equations()
-            if not _too_quiet(plain).any():
+            if not _torques_too_quiet(plain).any():
                 likely, refit = declared, plain
             self._take(likely)
         self.known = likely
@@ -329,7 +329,7 @@ class _Explainer:
         self._take(most)
         noisier = self._own_equations()
         # a balance that would be too quiet rules such noise out
-        if not excess(noisier) and not (_too_quiet(noisier) & ~_too_quiet(refit)).any():
+        if not excess(noisier) and not (_torques_too_quiet(noisier) & ~_torques_too_quiet(refit)).any():
             return noisier
         self._take(likely)
         return refit
@@ -437,7 +437,7 @@ class _Explainer:
             self.step(0.5, "detection limits of the other entries")
             with suppress(Undecided):
                 found = replace(found, beyond=limits_beyond(found.after, widened(found.after)))
-        if self._unsettled(found) and not _too_quiet(basis).any():
+        if self._unsettled(found) and not _torques_too_quiet(basis).any():
             self.step(0.65, "changes with time")
             # what begins may be a usual entry, or any
             for study in (basis, *(() if every is None else (every,))):
@@ -898,6 +898,13 @@ def _too_quiet(study: Study) -> NDArray[np.bool_]:
     """(runs, balances) whether a fit is better than noise allows: noise was taken out of its sums that was never
     there."""
     return np.asarray(study.excess**2 - 1.0 < -allowed(study)[0])
+
+
+def _torques_too_quiet(study: Study) -> NDArray[np.bool_]:
+    """(runs, balances that have torques) of `_too_quiet`. The momentum of the whole arm says nothing of the noise of
+    its torques: it has none, and what is fitted to it beside balances that do not close is of little weight."""
+    quiet, layout = _too_quiet(study), study.layout
+    return quiet[:, [balance not in layout.momenta for balance in layout.balances]]
 
 
 def _worse(gap: Gap, struck: Forecast) -> bool:
