@@ -2,14 +2,15 @@
 
     python -m soak [NAME ...] [--share SHARE | --full] [--json FILE]
 
-Writes out/soak.json and, unless the run is shorter than the committed one, docs/soak.md. The exit code is 1 if
-something does not hold.
+Writes out/soak.json, in which the results of other soaks stay, and docs/soak.md if the file has all soaks and none is
+shorter than by default. The exit code is 1 if something does not hold.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from json import loads
 from pathlib import Path
 from typing import Annotated
 
@@ -57,6 +58,7 @@ def soak(
     if unknown:
         raise ZygosError(f"there is no soak {unknown[0]!r}; remedy: use some of {', '.join(SOAKS)}")
     check_outputs([json], [])
+    before = [Outcome.of_json(one) for one in loads(json.read_text())["soaks"]] if json.exists() else []
     chosen = [one for name, one in SOAKS.items() if not names or name in names]
     shares = {one.name: 1.0 if full else share or one.share for one in chosen}
     begin, found = time.monotonic(), []
@@ -72,9 +74,11 @@ def soak(
                     lambda part, t=task: bar.update(t, completed=part),
                 )
             )
-    write_json(json, {"soaks": [one.as_json() for one in found]})
-    if not names and all(shares[one.name] >= one.share for one in chosen):
-        write_text(DOCUMENT, page(found))
+    known = {one.name: one for one in (*before, *found)}
+    every = [known[name] for name in SOAKS if name in known]
+    write_json(json, {"soaks": [one.as_json() for one in every]})
+    if len(every) == len(SOAKS) and all(one.share >= SOAKS[one.name].share for one in every):
+        write_text(DOCUMENT, page(every))
     head = ("soak", "cycles", "duration", "validity", "95 % intervals that hold", "counters", "took", "verdict")
     table(head, [row(one) for one in found])
     say(f"{time.monotonic() - begin:.0f} s · {json}")

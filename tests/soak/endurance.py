@@ -139,6 +139,12 @@ class Outcome:
         """For the file."""
         return asdict(self) | {"failures": self.failures}
 
+    @classmethod
+    def of_json(cls, stored: dict[str, Any]) -> Outcome:
+        """What `as_json` made of one."""
+        own = {name: value for name, value in stored.items() if name != "failures"}
+        return cls(**own | {"looks": [Look(**look) for look in own["looks"]]})
+
 
 def stored(soak: Soak, folder: Path) -> list[Cycles]:
     """The motions without errors of the sensors: read from the folder, or simulated and stored there. They differ
