@@ -119,10 +119,11 @@ def test_what_is_hidden_stands_out_with_its_size(name: str, column: str) -> None
 LOADED = replace(spatial().drawn, effects=())
 
 
-def loaded(dirt: Dirt | None, count: int) -> tuple[MeasuredRun, ...]:
-    """The first runs of three; in the middle of the second one, the arm in space takes up a payload."""
+def loaded(dirt: Dirt | None, count: int, instant: float) -> tuple[MeasuredRun, ...]:
+    """The first runs of three; at an instant of the second one, the arm in space takes up a payload."""
     x, y, z = (2.0 * far for far in LOADED.bodies[-1].origin_xyz)
-    plant = Plant(spatial(), LOADED, payload=Payload(0.1 * LOADED.bodies[-1].mass.value, 15.0, (x, y, z)), dirt=dirt)
+    payload = Payload(0.1 * LOADED.bodies[-1].mass.value, instant, (x, y, z))
+    plant = Plant(spatial(), LOADED, payload=payload, dirt=dirt)
     runs = (Run(spatial().arm, table=plant.run(which, 3)[0], path=Path("abc"[which])) for which in range(count))
     return tuple(map(record_of, runs))
 
@@ -130,7 +131,7 @@ def loaded(dirt: Dirt | None, count: int) -> tuple[MeasuredRun, ...]:
 @pytest.mark.slow
 def test_what_was_recorded_after_a_payload_closes_in_a_few_steps() -> None:
     """The fit to both sides of the change is so far off that the first twin of what came after it does not close."""
-    found = begun(spatial(), loaded(None, 2), ())
+    found = begun(spatial(), loaded(None, 2, 15.0), ())
     change = find_change(found, [])
     assert change is not None
     assert (change.what, change.run, change.arc, change.torn) == (BODIES, 1, 1, True)
@@ -149,10 +150,11 @@ def test_a_payload_beside_errors_of_the_torque_sensors() -> None:
     """Offsets, gains and noise of the torques, of which the arm file says nothing, stand for the payload until the
     change is sought."""
     dirt = Dirt(np.array([0.002, 0.003, 0.004]), np.array([0.0, 0.012, -0.015]), np.array([0.02, -0.03, 0.01]))
-    first, second, kept = loaded(dirt, 3)
+    first, second, kept = loaded(dirt, 3, 5.0)
     found = explain(spatial().arm, LOADED, (first, second), (kept,))
     assert all(joint.torque_sigma > 0.0 for joint in found.arm.joints)
     assert isinstance(found.verdict, Changed), found.sentence
+    assert "in b, between 0 and 10 s" in found.sentence
     (mass,) = (one for one in found.verdict.payload if one.name == "m3")
     low, high = mass.interval
     assert low < 0.1 * LOADED.bodies[-1].mass.value < high

@@ -179,28 +179,67 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
     arcs = [arc for run in range(len(study.records)) for arc in _arcs(study, run, names)]
     if len(arcs) < 2:
         return None
-    own, count = len(study.hypothesis.names), len(names)
+    own = len(study.hypothesis.names)
     total = _stepped(study, arcs, len(arcs))
     naive = np.sqrt(np.diag(np.linalg.pinv(_block(total, range(own)), hermitian=True)))
     # neighbouring rows share their noise; the twin's draws say by how much that widens the deviations
     widened = float(np.median(study.spread / np.maximum(naive, 1e-300)))
     inertial = [k for k, name in enumerate(names) if name in _inertial(study)]
     groups = [(name, [k]) for k, name in enumerate(names)] + [(BODIES, inertial)]
-    best: tuple[float, Change] | None = None
-    for cut, torn in _cuts(len(arcs)):
-        kept = [*arcs[:cut], *arcs[cut + torn :]]
+    sought = _Sought(study, arcs, names, groups, widened)
+    whole = sought.best(torn=False)
+    if whole is not None and whole.closes:
+        return whole.change
+    torn = sought.best(torn=True)
+    if torn is None or (whole is not None and torn.score >= _TORN * whole.score):
+        return None if whole is None else whole.change
+    return torn.change
+
+
+@dataclass(frozen=True)
+class _Scored:
+    change: Change
+    score: float
+    """What is left over, and what its columns take away by chance."""
+    closes: bool
+    """Whether nothing is left over beyond noise."""
+
+
+@dataclass(frozen=True)
+class _Sought:
+    """Changes that a study may show, and what they leave over."""
+
+    study: Study
+    arcs: Sequence[_Arc]
+    names: Sequence[str]
+    """All columns of the sums of arcs; the first are those of the hypothesis."""
+    groups: Sequence[tuple[str, Sequence[int]]]
+    """What may change, and its columns."""
+    widened: float
+    """Deviations of the coefficients over those of independent rows."""
+
+    def best(self, *, torn: bool) -> _Scored | None:
+        """The best change between two arcs, or within an arc that is left out and has others on both sides."""
+        cuts = range(1, len(self.arcs) - torn)
+        return min((one for cut in cuts for one in self._of(cut, torn)), key=lambda one: one.score, default=None)
+
+    def _of(self, cut: int, torn: bool) -> Iterator[_Scored]:
+        """The changes from an arc on that pass all tests."""
+        own, count = len(self.study.hypothesis.names), len(self.names)
+        kept = [*self.arcs[:cut], *self.arcs[cut + torn :]]
+        first = self.arcs[cut]
         floor = sum(arc.expected for arc in kept)
-        stepped = _stepped(study, kept, cut)
-        rest = _beside(stepped, own)
+        sums = _stepped(self.study, kept, cut)
+        rest = _beside(sums, own)
         left = float(rest[-1, -1])
         excess = left - floor
         if torn and excess <= EXCESS * floor:
-            # an arc that disagrees with all others is no change
-            continue
-        for what, columns in groups:
+            # an arc that disagrees with all others, which do not with each other, is no change
+            return
+        for what, columns in self.groups:
             at = [count - own + k for k in columns]
             delta, over = _solved(rest, at)
-            inverse = np.linalg.pinv(_block(rest, at), hermitian=True) * widened**2
+            inverse = np.linalg.pinv(_block(rest, at), hermitian=True) * self.widened**2
             square = float(delta @ np.linalg.pinv(inverse, hermitian=True) @ delta)
             z = float(np.sqrt(max(square, 0.0) / len(columns)))
             share = (left - over) / excess if excess > 0.0 else 1.0
@@ -209,37 +248,25 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
             # what an effect explains that was there all the time is no change
             if columns[0] >= own and _solved(rest, [columns[0] - own])[1] - over < _STEP * (left - over):
                 continue
-            # each column takes away a little by chance
-            score = over + 2.0 * len(columns) * widened**2 * np.log(max(floor / widened**2, np.e))
-            # what is left out is left over as well
-            score = score + arcs[cut].expected if torn else score
-            if best is not None and score >= (_TORN if torn and not best[1].torn else 1.0) * best[0]:
-                continue
-            found = _solved(stepped, [*range(own), *(count + k for k in columns)])[0]
+            found = _solved(sums, [*range(own), *(count + k for k in columns)])[0]
             old = np.array([found[k] if k < own else 0.0 for k in columns])
-            first = arcs[cut]
             change = Change(
                 what,
                 first.run,
                 first.number,
                 torn,
                 first.end_s,
-                (first if torn else arcs[cut - 1]).begin_s,
-                tuple(names[k] for k in columns),
+                (first if torn else self.arcs[cut - 1]).begin_s,
+                tuple(self.names[k] for k in columns),
                 old,
                 old + delta,
                 np.sqrt(np.diag(inverse)),
                 z,
                 float(share),
             )
-            best = score, change
-    return None if best is None else best[1]
-
-
-def _cuts(count: int) -> Iterator[tuple[int, bool]]:
-    """The arcs with which a change may be certain, and those that one may tear apart, between others."""
-    yield from ((cut, False) for cut in range(1, count))
-    yield from ((cut, True) for cut in range(1, count - 1))
+            # each column takes away a little by chance, and what is left out is left over as well
+            chance = 2.0 * len(columns) * self.widened**2 * np.log(max(floor / self.widened**2, np.e))
+            yield _Scored(change, float(over + chance + torn * first.expected), bool(over - floor <= EXCESS * floor))
 
 
 def _inertial(study: Study) -> set[str]:
