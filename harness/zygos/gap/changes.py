@@ -49,8 +49,6 @@ class Change:
     """The run (from 0) in which it is first seen."""
     arc: int
     """The arc (from 0) of that run with which it is certain, or which it tears apart."""
-    torn: bool
-    """Whether the instant lies within that arc, which is neither of before nor of after."""
     after_s: float
     """Time in that run at which it is there at the latest, s."""
     before_s: float
@@ -67,6 +65,8 @@ class Change:
     """Of the difference of one coefficient; of several the root of their chi square over their number."""
     share: float
     """Share of what was left over beyond noise that it takes away."""
+    torn: bool = False
+    """Whether the instant lies within that arc, which is neither of before nor of after."""
 
     @property
     def between(self) -> bool:
@@ -254,7 +254,6 @@ class _Sought:
                 what,
                 first.run,
                 first.number,
-                torn,
                 first.end_s,
                 (first if torn else self.arcs[cut - 1]).begin_s,
                 tuple(self.names[k] for k in columns),
@@ -263,6 +262,7 @@ class _Sought:
                 np.sqrt(np.diag(inverse)),
                 z,
                 float(share),
+                torn,
             )
             # each column takes away a little by chance, and what is left out is left over as well
             chance = 2.0 * len(columns) * self.widened**2 * np.log(max(floor / self.widened**2, np.e))
