@@ -15,10 +15,13 @@ import pytest
 from gap_arms_support import SECONDS, begun, standing
 from scipy.stats import binom
 
-from oracles.arms import Dirt, Plant, spatial
+from oracles.arms import Plant, spatial
+from oracles.cells import case, cell_named
 from oracles.hidden import Law, LinkViscous, MotorCoulomb, TidalField
 from oracles.tree import Payload
-from zygos.can.run import Run
+from oracles.trials import make
+from zygos.arm import load_arm
+from zygos.can.run import Run, load_run
 from zygos.dynamics.equations import from_model, parameters
 from zygos.effects import CATALOGUE, columns_at
 from zygos.gap.balances import Acting, thinning, zero_columns
@@ -33,6 +36,7 @@ from zygos.gap.study import Study, again, base_values
 from zygos.gap.torques import torque_noise
 from zygos.gap.twin import draws, follow
 from zygos.gap.verdicts import Changed
+from zygos.model.model import load_model
 
 TRIALS = {"spatial": spatial, "standing": standing}
 LAWS: dict[str, type[Law]] = {
@@ -116,22 +120,15 @@ def test_what_is_hidden_stands_out_with_its_size(name: str, column: str) -> None
     assert np.nansum((instead.rms / found.noise) ** 2) > 2.0 * np.nansum(after.excess**2)
 
 
-LOADED = replace(spatial().drawn, effects=())
-
-
-def loaded(dirt: Dirt | None, count: int, instant: float) -> tuple[MeasuredRun, ...]:
-    """The first runs of three; at an instant of the second one, the arm in space takes up a payload."""
-    x, y, z = (2.0 * far for far in LOADED.bodies[-1].origin_xyz)
-    payload = Payload(0.1 * LOADED.bodies[-1].mass.value, instant, (x, y, z))
-    plant = Plant(spatial(), LOADED, payload=payload, dirt=dirt)
-    runs = (Run(spatial().arm, table=plant.run(which, 3)[0], path=Path("abc"[which])) for which in range(count))
-    return tuple(map(record_of, runs))
-
-
 @pytest.mark.slow
 def test_what_was_recorded_after_a_payload_closes_in_a_few_steps() -> None:
     """The fit to both sides of the change is so far off that the first twin of what came after it does not close."""
-    found = begun(spatial(), loaded(None, 2, 15.0), ())
+    trial = spatial()
+    drawn = replace(trial.drawn, effects=())
+    x, y, z = (2.0 * far for far in drawn.bodies[-1].origin_xyz)
+    plant = Plant(trial, drawn, payload=Payload(0.1 * drawn.bodies[-1].mass.value, 15.0, (x, y, z)))
+    runs = (Run(trial.arm, table=plant.run(which, 3)[0], path=Path("abc"[which])) for which in (0, 1))
+    found = begun(trial, tuple(map(record_of, runs)), ())
     change = find_change(found, [])
     assert change is not None
     assert (change.what, change.run, change.arc, change.torn) == (BODIES, 1, 1, True)
@@ -146,18 +143,23 @@ def test_what_was_recorded_after_a_payload_closes_in_a_few_steps() -> None:
 
 
 @pytest.mark.slow
-def test_a_payload_beside_errors_of_the_torque_sensors() -> None:
+def test_a_payload_beside_errors_of_the_torque_sensors(tmp_path: Path) -> None:
     """Offsets, gains and noise of the torques, of which the arm file says nothing, stand for the payload until the
-    change is sought."""
-    dirt = Dirt(np.array([0.002, 0.003, 0.004]), np.array([0.0, 0.012, -0.015]), np.array([0.02, -0.03, 0.01]))
-    first, second, kept = loaded(dirt, 3, 5.0)
-    found = explain(spatial().arm, LOADED, (first, second), (kept,))
+    change is sought; and momenta that close better than noise allows do not speak against the noise of the torques."""
+    one = case(cell_named("spatial/payload"), 0)
+    assert one.dirty
+    make(one, tmp_path)
+    arm = load_arm(tmp_path / "arm.toml")
+    assert not any(joint.torque_sigma for joint in arm.joints)
+    first, second, kept = (record_of(load_run(tmp_path / f"{name}.blf", arm)) for name in "abc")
+    found = explain(arm, load_model(tmp_path / "simulation.toml"), (first, second), (kept,))
     assert all(joint.torque_sigma > 0.0 for joint in found.arm.joints)
     assert isinstance(found.verdict, Changed), found.sentence
-    assert "in b, between 0 and 10 s" in found.sentence
-    (mass,) = (one for one in found.verdict.payload if one.name == "m3")
+    assert "in b.blf, between 10 and 20 s" in found.sentence
+    (mass,) = (value for value in found.verdict.payload if value.name == "m3")
     low, high = mass.interval
-    assert low < 0.1 * LOADED.bodies[-1].mass.value < high
+    assert one.plant.payload is not None
+    assert low < one.plant.payload.mass < high
     assert high - low < 0.2
 
 
