@@ -99,6 +99,43 @@ def test_it_leaves_what_the_end_of_the_arcs_leaves(kind: str) -> None:
     assert memory(solved) == memory(ended)
 
 
+def test_every_entry_fades_that_waits_for_it() -> None:
+    """What the end of an arc leaves to do for the next solution: one half is exact."""
+    flight = again("spatial")
+    assert lib.zygos_end_arcs(flight.native) == 1
+    sums = flight.native.accumulator
+    lib.zygos_accumulator_apply_fade(ffi.addressof(sums))
+    rows = sums.width - 1
+    entries = rows * (rows + 1) // 2
+    gram, total = list(sums.noise_closed.gram)[:entries], list(sums.noise_closed.sum)[:rows]
+    assert gram[0] > 0.0
+    sums.noise_fade = 0.5
+    lib.zygos_accumulator_apply_fade(ffi.addressof(sums))
+    assert list(sums.noise_closed.gram)[:entries] == [0.5 * x for x in gram]
+    assert list(sums.noise_closed.sum)[:rows] == [0.5 * x for x in total]
+    assert sums.noise_fade == 1.0
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9, 1.0])
+def test_what_counts_blocks_counts_those_that_are_left(share: float) -> None:
+    """After the oldest blocks were dropped, of which those of an arc may end together."""
+    flight = again("planar")
+    assert lib.zygos_end_arcs(flight.native) == 1
+    sums = flight.native.accumulator
+    pointer = ffi.addressof(sums)
+    before = {name: int(getattr(sums, name)) for name in ("open", "newest", "window", "arcs")}
+    until = lib.zygos_accumulator_at(pointer, int(share * before["open"]) - 1).end
+    ends = [lib.zygos_accumulator_at(pointer, k).end for k in range(before["open"])]
+    assert sorted(ends) == ends
+    drop = sum(end <= until for end in ends)
+    arcs = lib.zygos_accumulator_drop_until(pointer, until)
+    assert sums.open == sums.count == before["open"] - drop
+    assert sums.arcs == before["arcs"] - arcs
+    assert 0 < before["newest"] < before["open"]
+    assert sums.newest == max(before["newest"] - drop, 0)
+    assert sums.window == max(before["window"] - drop, 0)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_flight_goes_on(kind: str) -> None:
     """Ending the arcs in between loses their constants and no more: the estimates agree within their intervals."""
