@@ -15,7 +15,7 @@ from motion_support import random_ground
 from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
 from zygos.model.model import load_model
-from zygos.native.flight import REASONS, Flight, ffi, lib
+from zygos.native.flight import REASONS, Flight, config_of, ffi, lib
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
@@ -134,6 +134,24 @@ def test_what_counts_blocks_counts_those_that_are_left(share: float) -> None:
     assert 0 < before["newest"] < before["open"]
     assert sums.newest == max(before["newest"] - drop, 0)
     assert sums.window == max(before["window"] - drop, 0)
+
+
+def test_arcs_of_rows_that_are_not_configured_need_no_end() -> None:
+    """Of joint rows alone there are no arcs, and the sums of other rows stay empty."""
+    arm, motion = run("ground")
+    config = config_of(arm)
+    config.arc_cycles = config.impulse_arc_cycles = 0
+    flight = Flight(arm)
+    assert lib.zygos_init(flight.native, config) == 1
+    flight.cycles(part(motion, 0, 3000))
+    sums = flight.native
+    assert (sums.accumulator.open, sums.motor_sums.count) == (0, 0)
+    assert sums.joint_sums.weight[0] > 0.0
+    kinds = ("accumulator", "motor_sums", "momentum_sums")
+    before = [bytes(ffi.buffer(ffi.addressof(sums, kind))) for kind in kinds]
+    assert lib.zygos_end_arcs(flight.native) == 1
+    assert [bytes(ffi.buffer(ffi.addressof(sums, kind))) for kind in kinds] == before
+    assert in_place(flight)[0] == 1
 
 
 @pytest.mark.parametrize("kind", KINDS)
