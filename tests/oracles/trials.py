@@ -24,6 +24,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
+from conftest import ROOT
 from oracles import ledger
 from oracles.cells import LIMITS, Case, case, cell_named, wanted
 from oracles.score import Truth, as_json, multiple, overlaps, score, stated_limits, truth
@@ -72,7 +73,8 @@ def ask(one: Case, folder: Path) -> tuple[dict[str, Any], str]:
     file = folder / "verdict.json"
     if file.is_file():
         return json.loads(file.read_text()), ""
-    return {}, " ".join(done.stderr.split())[-300:]
+    # the ledger is committed: a traceback names files of the checkout, and not where it lies
+    return {}, " ".join(done.stderr.replace(f"{ROOT}/", "").split())[-300:]
 
 
 def line_of(one: Case, true: Truth, verdict: dict[str, Any], message: str) -> dict[str, Any]:
