@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from zygos.errors import Undecided
 from zygos.gap.balances import balance_rows, kept_rows, thinning
-from zygos.gap.fit import Hypothesis
+from zygos.gap.fit import Hypothesis, without_zeros
 from zygos.gap.search import EXCESS
 from zygos.gap.study import FEW, Study, again, base_values, part_of
 
@@ -316,51 +316,42 @@ def _stepped(study: Study, arcs: Sequence[_Arc], cut: int) -> Array:
     """(2c + 1, 2c + 1) sums of all columns, of the same columns from an arc on, and of the right side; the errors of
     each run's sensors are eliminated, held by what the arm file knows of them."""
     zeros = len(study.layout.zeros)
-    prior = np.diag(study.layout.zero_sigma**-2.0)
     count = len(arcs[0].gram) - zeros - 1
-    later = np.arange(zeros + count, zeros + 2 * count)
-    places = np.append(np.arange(zeros + count), zeros + 2 * count)
+    size = zeros + 2 * count + 1
+    before = np.append(np.arange(zeros + count), size - 1)
+    # a column and the same column from an arc on are one in that arc
+    after = np.concatenate([np.arange(zeros + count), np.arange(zeros, zeros + count + 1)])
     both = np.zeros((2 * count + 1, 2 * count + 1))
     for run, sums in enumerate(study.sums):
-        whole = np.zeros((zeros + 2 * count + 1, zeros + 2 * count + 1))
+        whole = np.zeros((size, size))
         for number, arc in enumerate(arcs):
-            if arc.run != run:
-                continue
-            whole[np.ix_(places, places)] += arc.gram
-            if number >= cut:
-                # a column and the same column from here on are one in this arc
-                wide, narrow = arc.gram[:, zeros:-1], arc.gram[zeros:-1, zeros:-1]
-                whole[np.ix_(places, later)] += wide
-                whole[np.ix_(later, places)] += wide.T
-                whole[np.ix_(later, later)] += narrow
-        whole[:zeros, :zeros] += prior
-        if sums.applied is not None:
-            known = prior @ sums.applied
-            whole[:zeros, -1] -= known
-            whole[-1, :zeros] -= known
-            whole[-1, -1] += float(sums.applied @ known)
-        found = np.linalg.solve(whole[:zeros, :zeros], whole[:zeros, zeros:])
-        both += whole[zeros:, zeros:] - whole[zeros:, :zeros] @ found
+            if arc.run == run and number >= cut:
+                whole += arc.gram[np.ix_(after, after)]
+            elif arc.run == run:
+                whole[np.ix_(before, before)] += arc.gram
+        both += without_zeros(study.layout, whole, sums.applied)[0]
     return both
 
 
 def _beside(sums: Array, count: int) -> Array:
     """Sums of all but the first columns, beside these."""
-    shared, others = list(range(count)), list(range(count, len(sums)))
-    across = sums[np.ix_(shared, others)]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(sums)[:count], 1e-300))
-    inverse = np.linalg.pinv(_block(sums, shared) * scale * scale[:, None], rcond=1e-13, hermitian=True)
-    scaled = across * scale[:, None]
-    return np.asarray(sums[np.ix_(others, others)] - scaled.T @ inverse @ scaled, dtype=np.float64)
+    across = sums[:count, count:]
+    return np.asarray(sums[count:, count:] - across.T @ _inverse(sums[:count, :count]) @ across, dtype=np.float64)
 
 
 def _block(gram: Array, free: Sequence[int]) -> Array:
     return np.asarray(gram[np.ix_(free, free)], dtype=np.float64)
 
 
+def _inverse(matrix: Array) -> Array:
+    """Of sums of columns of any size, whose combinations may be empty."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = np.linalg.pinv(matrix * scale * scale[:, None], rcond=1e-13, hermitian=True)
+    return np.asarray(scaled * scale * scale[:, None], dtype=np.float64)
+
+
 def _solved(gram: Array, free: Sequence[int]) -> tuple[Array, float]:
     """Least squares of the right side by the free columns, and the sum of squares that is left over."""
-    matrix, right = _block(gram, free), gram[free, -1]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    found = scale * (np.linalg.pinv(matrix * scale * scale[:, None], rcond=1e-13, hermitian=True) @ (scale * right))
-    return found, float(gram[-1, -1] - found @ right)
+    right = gram[free, -1]
+    found = _inverse(_block(gram, free)) @ right
+    return np.asarray(found, dtype=np.float64), float(gram[-1, -1] - found @ right)

@@ -126,7 +126,6 @@ def fit(
     bases = {k: _Basis.of(hypothesis, k, target) for k in used}
     zeros = len(hypothesis.layout.zeros)
     size = zeros + len(hypothesis.names) + 1
-    prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
     parts = [[bases[k].of_gram(run.gram[k]) for k in used] for run in runs]
     settled: list[Array] = []
     total = np.zeros(())
@@ -138,14 +137,9 @@ def fit(
             clean = own if run.noise is None else own - bases[k].of_gram(run.noise[k])
             at = bases[k].places
             whole[..., at[:, None], at] += weight[k] ** 2 * clean
-        # the run's own zeros, as functions of the coefficients and the right side; the arm file knows of the sum of
-        # these and of those that have been taken off before
-        wanted = whole[..., :zeros, zeros:].copy()
-        if run.applied is not None:
-            wanted[..., -1] -= prior @ run.applied
-        solved = np.linalg.solve(whole[..., :zeros, :zeros] + prior, wanted)
-        settled.append(np.asarray(solved, dtype=np.float64))
-        total = total + whole[..., zeros:, zeros:] - whole[..., zeros:, :zeros] @ settled[-1]
+        rest, settle = without_zeros(hypothesis.layout, whole, run.applied)
+        settled.append(settle)
+        total = total + rest
     if fixed is None:
         value = _solve(total, hypothesis.names, blind=alone is not None)
     else:
@@ -220,11 +214,28 @@ def held(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array, sigma: dic
     return np.asarray(inverse @ total[:-1, -1], dtype=np.float64), np.asarray(lost @ lost.T, dtype=np.float64)
 
 
+def without_zeros(layout: Layout, whole: Array, applied: Array | None) -> tuple[Array, Array]:
+    """Sums (..., c + 1, c + 1) of a run without the zeros of its sensors, which come first in `whole` (..., z + c + 1,
+    z + c + 1); and the zeros as functions (..., z, c + 1) of the others and the right side.
+
+    They are held by what the arm file knows of the sum of these and of those that have been taken off before, `applied`
+    (z,).
+    """
+    zeros = len(layout.zeros)
+    prior = np.diag(layout.zero_sigma**-2.0)
+    across, rest = whole[..., :zeros, zeros:].copy(), whole[..., zeros:, zeros:].copy()
+    if applied is not None:
+        known = prior @ applied
+        across[..., -1] -= known
+        rest[..., -1, -1] += applied @ known
+    settled = np.asarray(np.linalg.solve(whole[..., :zeros, :zeros] + prior, across), dtype=np.float64)
+    return np.asarray(rest - np.swapaxes(across, -1, -2) @ settled, dtype=np.float64), settled
+
+
 def _normal(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array) -> tuple[Array, list[Array]]:
     """Normal equations (c + 1, c + 1) of the coefficients and the right side, without the zeros of the sensors; and for
     each run what these are (zeros, c + 1), as functions of them."""
     zeros = len(hypothesis.layout.zeros)
-    prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
     size = zeros + len(hypothesis.names) + 1
     bases = {k: _Basis.of(hypothesis, k, "") for k in hypothesis.balances}
     total, settled = np.zeros((size - zeros, size - zeros)), []
@@ -233,12 +244,9 @@ def _normal(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array) -> tupl
         for k, basis in bases.items():
             clean = run.gram[k] if run.noise is None else run.gram[k] - run.noise[k]
             whole[np.ix_(basis.places, basis.places)] += weight[k] ** 2 * basis.of_gram(clean)
-        wanted = whole[:zeros, zeros:].copy()
-        if run.applied is not None:
-            wanted[:, -1] -= prior @ run.applied
-            total[-1, -1] += run.applied @ prior @ run.applied
-        settled.append(np.asarray(np.linalg.solve(whole[:zeros, :zeros] + prior, wanted), dtype=np.float64))
-        total += whole[zeros:, zeros:] - wanted.T @ settled[-1]
+        rest, settle = without_zeros(hypothesis.layout, whole, run.applied)
+        settled.append(settle)
+        total += rest
     return total, settled
 
 
