@@ -535,24 +535,6 @@ void zygos_momentum_sums_proceed(zygos_momentum_sums_t *self, const zygos_config
     }
 }
 
-void zygos_momentum_sums_settle(zygos_momentum_sums_t *self, const zygos_config_t *config)
-{
-    const uint32_t most = 8u * ZYGOS_MOMENTUM_PASS_CYCLES + 2u * (uint32_t)ZYGOS_MOMENTUM_PLACES;
-    for (uint32_t tries = 0; (tries < most) && (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE); tries++) {
-        if (self->task == (uint32_t)ZYGOS_MOMENTUM_JUDGE) {
-            zygos_momentum_sums_judged(self, true);
-        }
-        zygos_momentum_sums_proceed(self, config);
-    }
-}
-
-void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle)
-{
-    zygos_momentum_sums_settle(self, config);
-    (void)zygos_momentum_sums_close(self, cycle);
-    zygos_momentum_sums_settle(self, config);
-}
-
 void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor)
 {
     double left = 0.0;

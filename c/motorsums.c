@@ -366,17 +366,6 @@ void zygos_motor_sums_proceed(zygos_motor_sums_t *self, const zygos_config_t *co
     }
 }
 
-void zygos_motor_sums_settle(zygos_motor_sums_t *self, const zygos_config_t *config)
-{
-    const uint32_t most = 4u * (uint32_t)ZYGOS_MAX_JOINTS + 2u * (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS;
-    for (uint32_t tries = 0; (tries < most) && (self->task != (uint32_t)ZYGOS_MOTOR_NONE); tries++) {
-        if (self->task == (uint32_t)ZYGOS_MOTOR_JUDGE) {
-            zygos_motor_sums_judged(self, true);
-        }
-        zygos_motor_sums_proceed(self, config);
-    }
-}
-
 void zygos_motor_sums_leave_out(zygos_motor_sums_t *self)
 {
     zygos_motor_block_t *open = &self->open;
@@ -387,13 +376,6 @@ void zygos_motor_sums_leave_out(zygos_motor_sums_t *self)
     memset(open->instants, 0, sizeof open->instants);
     self->instants = 0;
     self->cycles = 0;
-}
-
-void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *config, uint64_t cycle)
-{
-    zygos_motor_sums_settle(self, config);
-    (void)zygos_motor_sums_close(self, cycle);
-    zygos_motor_sums_settle(self, config);
 }
 
 void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor)

@@ -136,27 +136,17 @@ static void put_motor(zygos_column_list_t *list, const zygos_config_t *config, c
     put(list, column_map->count);
 }
 
-/* Sorts, and drops what stands there twice. */
 static void sort(zygos_column_list_t *list)
 {
-    uint32_t count = 0;
-    for (uint32_t i = 0; i < list->count; i++) {
-        const uint32_t place = list->place[i];
-        uint32_t j = count;
+    for (uint32_t i = 1; i < list->count; i++) {
+        const uint8_t place = list->place[i];
+        uint32_t j = i;
         while ((j > 0) && (list->place[j - 1u] > place)) {
+            list->place[j] = list->place[j - 1u];
             j--;
         }
-        if ((j > 0) && (list->place[j - 1u] == place)) {
-            continue;
-        }
-        for (uint32_t k = count; k > j; k--) {
-            list->place[k] = list->place[k - 1u];
-        }
-        list->place[j] = (uint8_t)place;
-        count++;
+        list->place[j] = place;
     }
-    memset(&list->place[count], 0, sizeof list->place - count);
-    list->count = (uint8_t)count;
     list->seal = seal_of(list);
 }
 

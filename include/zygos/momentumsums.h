@@ -138,13 +138,6 @@ void zygos_momentum_sums_judged(zygos_momentum_sums_t *self, bool admitted);
 /// Returns the row before which the next part of the task ends.
 uint32_t zygos_momentum_sums_part(const zygos_momentum_sums_t *self);
 
-/// Finishes the tasks, and admits the closing arc unless it does not match its row sums. Cost: a few passes over the
-/// sums of an arc, and one over the blocks where two are merged.
-void zygos_momentum_sums_settle(zygos_momentum_sums_t *self, const zygos_config_t *config);
-
-/// Ends the open arc and settles.
-void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle);
-
 /// Drops the open arc.
 void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self);
 

@@ -98,15 +98,8 @@ bool zygos_motor_sums_close(zygos_motor_sums_t *self, uint64_t cycle);
 void zygos_motor_sums_proceed(zygos_motor_sums_t *self, const zygos_config_t *config);
 void zygos_motor_sums_judged(zygos_motor_sums_t *self, bool admitted);
 
-/// Finishes the tasks, and admits the closing arc unless it does not match its row sums. Cost: a few passes over the
-/// sums of an arc, and one over the blocks where two are merged.
-void zygos_motor_sums_settle(zygos_motor_sums_t *self, const zygos_config_t *config);
-
 /// Returns whether a cycle addresses nothing outside the struct. Cost: four comparisons.
 bool zygos_motor_sums_steady(const zygos_motor_sums_t *self);
-
-/// Ends the open arc and settles.
-void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
 /// Drops the open arc.
 void zygos_motor_sums_leave_out(zygos_motor_sums_t *self);

@@ -240,6 +240,35 @@ def test_a_fault_of_several_arcs_is_over_when_an_arc_agrees(motion: Trajectory) 
     assert estimate.left_out[0] >= 3
 
 
+def test_a_change_soon_after_the_first_arc_is_learned_anew(motion: Trajectory) -> None:
+    """The arcs that contradict hold more instants than the sums: arcs are admitted from then on, and no estimate judges
+    them before half an arc has passed."""
+    arm, begin = motion.arm, 300
+    faulty = stuck("q", begin, 1500)(seen(motion, 0))
+    flight = Flight(arm)
+    flight.cycles(part(faulty, 0, begin))
+    flight.estimate()
+    assert flight.adopt()
+    guard, k = flight.native.guard, begin
+    while not guard.changed:
+        assert guard.known == 1
+        flight.cycles(part(faulty, k, k + 1))
+        k += 1
+    rows = int(np.argmax(guard.consecutive))
+    newest = max(int(arc.end) for arc in guard.newest)
+    assert (guard.known, guard.since) == (0, newest + round(0.5 * ARC_S / arm.period_s))
+    assert guard.instants[rows] > sum(flight.native.motor_sums.block[0].instants)
+    left_out = list(guard.left_out)
+    flight.cycles(part(faulty, k, k + 100))
+    early = flight.estimate()
+    assert early.cycle <= guard.since and not flight.adopt()
+    flight.cycles(part(faulty, k + 100, len(faulty)))
+    assert list(guard.left_out) == left_out
+    estimate = flight.estimate()
+    assert "the arm changed" in estimate.reason and estimate.cycle > guard.since
+    assert flight.adopt() and guard.known == 1
+
+
 def test_where_every_arc_is_bad_from_the_start_the_answer_is_a_refusal(motion: Trajectory) -> None:
     cycles = seen(motion, 0)
     for first in range(50, len(cycles), 200):
@@ -476,6 +505,27 @@ def test_an_arc_is_compared_by_the_sums_of_residuals_in_its_blocks(motion: Traje
     most = lib.zygos_guard_chi_square_limit(0.5 * len(closing)) * guard.cluster * expected * len(closing)
     most += 36.0 * guard.blocks.uncertainty + 1e-6 * guard.energy.spread * guard.share
     assert guard.contradiction[0] == pytest.approx(guard.blocks.residual / most, rel=1e-9)
+
+
+def test_what_noise_leaves_in_momentum_rows_is_that_of_the_arc_which_is_judged(motion: Trajectory) -> None:
+    """Not that of the open arc, which is longer or shorter."""
+    judge = 4
+    flight = Flight(replace(motion.arm, momentum_max_s=ARC_S))
+    guard, momentum, column_map = flight.native.guard, flight.native.momentum_sums, flight.native.column_map
+    fly_until(flight, seen(motion, 0), lambda: bool(momentum.task == judge))
+    columns = int(momentum.columns)
+    noise = np.zeros((columns, columns))
+    lower = np.tril_indices(columns)
+    closing = momentum.noise_arc[(momentum.parity & 1) ^ 1]
+    noise[lower] = np.frombuffer(ffi.buffer(closing.gram))[: len(lower[0])]
+    noise += np.tril(noise, -1).T
+    kinetic = int(column_map.kinetic)
+    ranks = [k if k < kinetic else column_map.joint[k - kinetic] for k in range(columns)]
+    solution = np.array([guard.solution[column_map.place[rank]] for rank in ranks])
+    names = ("guard", "config", "column_map", "momentum_sums")
+    lib.zygos_guard_settle_momentum(*(ffi.addressof(flight.native, name) for name in names))
+    assert guard.momentum_noise.residual == pytest.approx(solution @ noise @ solution, rel=1e-9)
+    assert guard.momentum_noise.residual > 0.0
 
 
 def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajectory) -> None:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from arm_support import State as Sample
 from arm_support import random_arm, random_state
+from flight_support import balanced
+from rows_support import awkward, wandering
 
 from zygos.arm import Arm
 from zygos.balances.energy import energy_columns
@@ -20,7 +22,7 @@ from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import ZygosError
 from zygos.model import gram
 from zygos.model.model import Model
-from zygos.native.flight import config_of, ffi, lib
+from zygos.native.flight import Flight, config_of, ffi, lib
 
 FLEXIBLE: dict[str, Callable[[int], bool]] = {
     "flexible": lambda _: True,
@@ -197,3 +199,32 @@ def test_a_stiffness_where_the_arm_is_rigid() -> None:
     rigid = replace(arm, joints=tuple(replace(joint, flexible=False) for joint in arm.joints))
     with pytest.raises(ZygosError, match=r"in arm random it is rigid; remedy: write stiffness = inf"):
         model.base_values(rigid)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bodies_without_their_rotors_must_have_energy_in_every_motion(seed: int) -> None:
+    """A matrix of the bodies with one eigenvalue near zero, with the rotors on it: valid above zero, refused below."""
+    arm = replace(awkward(8, 3, "spatial", (True, True, True)), impulse_arc_s=0.0, compensate_every=0)
+    cycles = wandering(arm, 2500)
+    t = arm.period_s * np.arange(len(cycles))[:, None]
+    common = 0.4 * np.sin([0.37, 0.83, 1.9] * t)
+    cycles.theta[:] = cycles.q + common + 0.05 * np.sin([2.1, 3.3, 4.7] * t) + 0.03 * np.cos([1.2, 2.6, 3.9] * t)
+    cycles.q[:] += common
+    rng = np.random.default_rng(seed)
+    size = gram.directions(arm)
+    direction = rng.normal(size=size)
+    direction /= np.linalg.norm(direction)
+    root = rng.normal(size=(size, size))
+    others = np.eye(size) - np.outer(direction, direction)
+    rotors = np.array([1.0, 2.0, 3.0])
+    drives = {"Im": rotors, "k": np.full(3, 1e3), "b": np.full(3, 50.0)}
+    for least, verdict in ((0.01, "valid"), (-0.01, "doubtful")):
+        bodies = others @ (root @ root.T + size * np.eye(size)) @ others + least * np.outer(direction, direction)
+        kinetic = gram.to_parameters(arm, bodies + gram.of_rotors(arm, rotors))
+        parameters = np.append(kinetic, [drives[kind][i] for kind, i in arm.full_joint_parameters])
+        flight = Flight(arm)
+        flight.cycles(balanced(arm, cycles, parameters))
+        estimate = flight.estimate()
+        np.testing.assert_allclose(estimate.value, parameters, rtol=1e-6)
+        assert estimate.validity == verdict
+        assert (least > 0.0) or "not physical" in estimate.reason
