@@ -381,34 +381,29 @@ static void proceed_merge(zygos_accumulator_t *self)
 
 /* The first pair of neighbours that fits into one block, by the rank of its first, or count. Blocks of closed arcs
    never merge with those of the closing or the open one, whose constant is still in them; nor do those of the newest
-   closed arc with older ones, from which it may differ; nor do blocks that may still be added to. The target doubles
-   when none fits. */
+   closed arc with older ones, from which it may differ; nor do blocks that may still be added to. Where none fits the
+   target doubles, and the next call finds the pair: the blocks are looked through once a cycle. */
 static uint32_t pair_to_merge(zygos_accumulator_t *self)
 {
     const uint32_t used = (self->count < self->fresh + IN_USE) ? self->fresh : self->count - IN_USE;
     const uint32_t region[5] = { 0, self->newest, self->window, self->open, self->fresh };
     const uint32_t end[5] = { self->newest, self->window, self->open, self->open, used };
     double least = 2.0 * ZYGOS_MAX_INSTANTS;
+    uint32_t fits = self->count;
     for (uint32_t g = 0; g < 5u; g++) {
         for (uint32_t r = region[g]; r + 1u < end[g]; r++) {
             const double both = zygos_accumulator_instants(self, r) + zygos_accumulator_instants(self, r + 1u);
             least = (both < least) ? both : least;
+            fits = ((both <= self->target) && (fits == self->count)) ? r : fits;
         }
     }
-    if (!(least <= ZYGOS_MAX_INSTANTS) || (self->count <= ZYGOS_MIN_BLOCKS)) {
+    if (self->count <= ZYGOS_MIN_BLOCKS) {
         return self->count;
     }
-    for (uint32_t tries = 0; (self->target < least) && (tries < 64u); tries++) {
+    for (uint32_t tries = 0; (least <= ZYGOS_MAX_INSTANTS) && (self->target < least) && (tries < 64u); tries++) {
         self->target *= 2.0;
     }
-    for (uint32_t g = 0; g < 5u; g++) {
-        for (uint32_t r = region[g]; r + 1u < end[g]; r++) {
-            if (zygos_accumulator_instants(self, r) + zygos_accumulator_instants(self, r + 1u) <= self->target) {
-                return r;
-            }
-        }
-    }
-    return self->count;
+    return fits;
 }
 
 /* Whether all rows of the closing arc are in its blocks. */
@@ -492,6 +487,7 @@ static void begin_next_task(zygos_accumulator_t *self)
         const uint32_t rank = pair_to_merge(self);
         if (self->target > target) {
             self->checksum = checksum_of(self);
+            return;
         }
         if (rank < self->count) {
             begin_task(self, ZYGOS_TASK_MERGE,

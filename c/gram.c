@@ -4,9 +4,9 @@
 
 #define EPSILON 2.220446049250313e-16
 
-static double magnitude(double x)
+static double larger(double a, double b)
 {
-    return (x < 0.0) ? -x : x;
+    return (a > b) ? a : b;
 }
 
 void zygos_gram_add(double *restrict gram, double *restrict sum, uint32_t width, const double *restrict z)
@@ -61,22 +61,39 @@ void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum)
 
 void zygos_gram_scan(zygos_gram_scan_t *scan, const double *gram, uint32_t first, uint32_t end)
 {
-    const double *from = &gram[zygos_gram_entries(first)];
+    const double *restrict from = &gram[zygos_gram_entries(first)];
     for (uint32_t i = first; i < end; i++) {
-        double row = 0.0;
-        double most = 0.0;
-        for (uint32_t j = 0; j < i; j++) {
-            const double size = magnitude(from[j]);
-            row += from[j];
-            scan->sum[j] += from[j];
-            most = (size > most) ? size : most;
-            scan->most[j] = (size > scan->most[j]) ? size : scan->most[j];
+        double *restrict sum = scan->sum;
+        double *restrict most = scan->most;
+        double row[2] = { 0.0, 0.0 };
+        double largest[2] = { 0.0, 0.0 };
+        /* Two entries at a time, for compilers that have such instructions. */
+        for (const double *stop = from + (i & ~1u); from != stop; from += 2) {
+            const double size[2] = { __builtin_fabs(from[0]), __builtin_fabs(from[1]) };
+            row[0] += from[0];
+            row[1] += from[1];
+            sum[0] += from[0];
+            sum[1] += from[1];
+            largest[0] = (size[0] > largest[0]) ? size[0] : largest[0];
+            largest[1] = (size[1] > largest[1]) ? size[1] : largest[1];
+            most[0] = (size[0] > most[0]) ? size[0] : most[0];
+            most[1] = (size[1] > most[1]) ? size[1] : most[1];
+            sum += 2;
+            most += 2;
         }
-        const double size = magnitude(from[i]);
-        scan->sum[i] = row + from[i];
-        scan->most[i] = (size > most) ? size : most;
-        scan->largest = (scan->most[i] > scan->largest) ? scan->most[i] : scan->largest;
-        from += i + 1u;
+        double all = row[0] + row[1];
+        double top = larger(largest[0], largest[1]);
+        if ((i & 1u) != 0) {
+            all += *from;
+            top = larger(__builtin_fabs(*from), top);
+            *sum += *from;
+            *most = larger(__builtin_fabs(*from), *most);
+            from++;
+        }
+        scan->sum[i] = all + *from;
+        scan->most[i] = larger(__builtin_fabs(*from), top);
+        scan->largest = larger(scan->most[i], scan->largest);
+        from++;
     }
 }
 
@@ -86,8 +103,8 @@ double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uin
     const double share = EPSILON * (64.0 * (double)width + adds);
     double worst = 0.0;
     for (uint32_t i = 0; i < width; i++) {
-        const double off = magnitude(scan->sum[i] - sum[i]);
-        const double square = magnitude(gram[zygos_gram_entries(i + 1u) - 1u]);
+        const double off = __builtin_fabs(scan->sum[i] - sum[i]);
+        const double square = __builtin_fabs(gram[zygos_gram_entries(i + 1u) - 1u]);
         const double bound = __builtin_sqrt(square) * __builtin_sqrt(scan->largest);
         const double tolerance = share * ((bound > scan->most[i]) ? bound : scan->most[i]);
         /* Not-a-number compares false with everything; neither it nor infinity is a sum. */

@@ -275,12 +275,22 @@ static void advance(zygos_joint_sums_t *self, uint32_t joints, uint32_t entries)
     }
 }
 
-void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted)
+/* Whether the second half of a segment, in which each joint's sums have their turn, has as many cycles without a row as
+   there are joints. */
+static bool has_time(const zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    const uint32_t half = config->joint_row_cycles / 2u;
+    return (self->increments >= 4u) && ((self->increments / 2u - 1u) * (half - config->joints) >= config->joints);
+}
+
+void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted, bool row)
 {
     const uint64_t one = (uint64_t)(accepted > 0.0);
     self->accepted += one;
     self->refused += 1u - one;
-    advance(self, config->joints, self->slice);
+    if (!row || (self->adding != APART) || !has_time(self, config)) {
+        advance(self, config->joints, self->slice);
+    }
 }
 
 /* Ends the segment that is filled, which is added to the given group from here on. anew: to nothing else. */

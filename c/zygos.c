@@ -412,8 +412,8 @@ static void end_momentum_arc(zygos_t *self, uint64_t cycle)
 
 /* ---------------------------------------------------------------- gaps
 
-   Until the smoother's window is full again there are no rows. An arc that a gap ends waits in that time until the one
-   before it is closed, which would cost a multiple of a cycle at once. */
+   An arc that a gap ends waits until the one before it is closed, which would cost many times a cycle at once. There are
+   no rows in that time: until the smoother's window is full again in any case, and then until no arc waits. */
 
 static double *forgetting_of(zygos_t *self, uint32_t kind)
 {
@@ -481,7 +481,7 @@ static void gap(zygos_t *self)
     zygos_impulse_reset(&self->impulse);
     zygos_momentum_reset(&self->momentum);
     zygos_joint_reset(&self->joint, &self->config);
-    const uint32_t waiting = self->ending; /* since another gap, behind which there were no rows */
+    const uint32_t waiting = self->ending; /* since another gap */
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         if ((waiting >> kind) & 1u) {
             continue;
@@ -535,7 +535,7 @@ static void settle(zygos_t *self)
     }
 }
 
-/* Drops what reaches into the cycles that cannot be trusted. */
+/* Drops what reaches into the cycles that cannot be trusted. Nothing is newer than arcs that wait for their end. */
 static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
 {
     if (!(cycle->flags & ZYGOS_CYCLE_VOID)) {
@@ -543,13 +543,17 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     }
     const uint64_t doubtful = cycle->flags >> ZYGOS_CYCLE_VOID_SHIFT;
     const uint64_t trusted = (doubtful < cycle->sync) ? cycle->sync - doubtful : 0u;
-    end_waiting(self, true); /* not to be taken for arcs that are still open */
-    if ((doubtful == 0) || (self->cycle > trusted)) {
-        zygos_accumulator_drop_after(&self->accumulator, trusted);
-        zygos_motor_sums_drop_after(&self->motor_sums, trusted);
-        zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
-        zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+    if ((doubtful != 0) && (self->cycle <= trusted)) {
+        return;
     }
+    zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+    if ((doubtful != 0) && (self->ending != 0) && (self->ended <= trusted)) {
+        return;
+    }
+    drop_waiting(self); /* with the open arcs, as which they count */
+    zygos_accumulator_drop_after(&self->accumulator, trusted);
+    zygos_motor_sums_drop_after(&self->motor_sums, trusted);
+    zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
 }
 
 /* No cycle is processed before zygos_scrub(), which computes the number anew. */
@@ -606,7 +610,7 @@ static bool add_joints(zygos_t *self)
     if ((ZYGOS_JOINT_ROWS == 0) || (config->joint_row_cycles == 0)) {
         return false;
     }
-    zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted);
+    zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted, self->joint.turn < config->joints);
     if (zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
                         &self->joint_row) == 0) {
@@ -693,12 +697,10 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if ((smoothed < 0) || !zygos_balance_torque_is_whole(&self->balance, &self->config)) {
         suspect(self);
     }
-    if (smoothed != 1) {
+    if ((smoothed != 1) || (self->ending != 0)) {
+        self->waited += (smoothed == 1) ? 1u : 0u;
         idle(self);
         return;
-    }
-    if (self->ending != 0) {
-        end_waiting(self, true);
     }
     zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
     add_energy(self, add_momentum(self, add_impulses(self, add_joints(self))));
@@ -1106,6 +1108,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         self->invalid = 0;
         self->wraps = 0;
         self->apart = 0;
+        self->waited = 0;
     }
     for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(&self->receiver) != NULL); i++) {
         zygos_receiver_pop(&self->receiver);

@@ -46,7 +46,7 @@ extern "C" {
 /// Number of buffers: one is filled, one is added to the blocks, and a third waits after the end of an arc.
 #define ZYGOS_ROW_BUFFERS 3u
 /// Number of cycles in which a task reads or changes each entry of a block once.
-#define ZYGOS_PASS_CYCLES 6u
+#define ZYGOS_PASS_CYCLES 8u
 /// The least number of entries that it reads or changes in one cycle.
 #define ZYGOS_LEAST_PART 48u
 

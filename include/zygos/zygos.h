@@ -67,10 +67,11 @@ typedef struct {
     uint64_t invalid;         ///< Number of cycles given to zygos_cycle() that were flagged invalid or not finite.
     uint64_t wraps;           ///< Number of times an angle passed the end of its multi-turn range; the arc ends.
     uint64_t apart;           ///< Number of cycles with link and motor angle on different sides of that end, not used.
+    uint64_t waited;          ///< Number of instants that have no row, because an arc waited for its end (ending).
     uint32_t arc;             ///< Number of instants of the open arc, accepted or not.
     uint32_t instant;         ///< 1: arm_state, row and accepted below belong to the newest cycle.
     uint32_t ending;          ///< Kinds of rows (enum zygos_rows), as bits, whose open arc a gap has ended, and waits
-                              ///< until the arc before it is closed, or the next one begins.
+                              ///< until the arc before it is closed.
     uint32_t reserved;
     uint64_t ended;                               ///< The newest cycle of these arcs.
     double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors; 1 where none waits.
@@ -105,7 +106,7 @@ typedef struct {
 /// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
 /// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0x42A97703u
+#define ZYGOS_LAYOUT 0xBF0B0C0Cu
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 

@@ -98,7 +98,7 @@ def native(name: str, folder: Path, programs: dict[str, Path]) -> list[Peer]:
     watched = [f"--toggle-collect={part}" for part in _PARTS]
     out = folder / "callgrind.peers"
     command = ["valgrind", "--tool=callgrind", *watched, f"--callgrind-out-file={out.name}", str(programs["-O2"])]
-    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    subprocess.run(command, cwd=folder, env=callgrind.ENVIRONMENT, check=True, capture_output=True)
     (whole,) = callgrind.parts(out)
     columns, sums, regressor, rank, rank_own = (whole.of(part) / SAMPLES for part in _PARTS)
     counted: dict[str, float | None] = {

@@ -141,9 +141,10 @@ def test_a_run_for_another_build_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
-    """zygos_t is the same on both targets, and its rooms fit into it."""
+    """zygos_t is the same on both targets, and its rooms fit into it. The solver has pointers."""
     host, target = counted("x86-64", "paper, bare", CYCLES).sizes, counted("m7", "paper, bare", CYCLES).sizes
-    assert host == target
+    assert {**host, "solver": 0} == {**target, "solver": 0}
+    assert 0 < host["solver"] - target["solver"] < 100
     rooms = sum(size for name, size in host.items() if name not in ("parameters", "whole", "solver"))
     assert 0.95 < rooms / host["whole"] < 1.0
 

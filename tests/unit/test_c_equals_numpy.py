@@ -51,7 +51,8 @@ def both_of(name: str, last: int | None = None) -> Both:
     flight = Flight(arm)
     trace = flight.cycles(cycles, trace=True)
     assert trace is not None
-    chain = reference.chain(arm, cycles)
+    waited = np.flatnonzero(usable(cycles))[trace.waited]
+    chain = reference.chain(arm, cycles, waited=frozenset(waited.tolist()))
     rounds = rounding(arm, chain.samples, tables(arm, chain.samples, chain.smoothed))
     return Both(case, arm, cycles, flight, trace, chain, rounds)
 

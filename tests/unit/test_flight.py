@@ -508,7 +508,10 @@ def test_blocks_merge_and_lose_nothing(arm: Arm, arc_s: float, cycles: int) -> N
         assert lib.zygos_accumulator_check(ffi.addressof(accumulator)) <= 1.0
     whole = type(rows[0])(
         joined(*(t.cycles for t in rows)),
-        *(np.concatenate([getattr(t, name) for t in rows]) for name in ("instant", "accepted", "state", "row")),
+        *(
+            np.concatenate([getattr(t, name) for t in rows])
+            for name in ("instant", "accepted", "state", "row", "waited")
+        ),
     )
     same_sums(flight, whole)
     even_blocks(instants)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flight_support import part
-from soak_support import again, fly, stored, with_all_rows
+from soak_support import again, fly, settle, stored, with_all_rows
 
 from zygos.arm import Arm
 from zygos.model.model import Model
@@ -310,17 +310,11 @@ def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(
         ranks = sums.order[0 : sums.open] if kind == "accumulator" else range(sums.count)
         return [(sums.block[b].end, sums.block[b].checksum) for b in ranks]
 
-    def settle() -> None:
-        if kind == "accumulator":
-            lib.zygos_accumulator_settle(ffi.addressof(sums))
-        else:
-            getattr(lib, f"zygos_{kind}_settle")(ffi.addressof(sums), ffi.addressof(out.native, "config"))
-
-    settle()
+    settle(out)
     before = closed()
     damage(sums, off)
     out.cycles(part(again(out.arm, motion, int(out.native.cycle) + 1, np.random.default_rng(1)), 0, 1))
-    settle()
+    settle(out)
     assert sums.quarantined == 1
     assert closed() == before
     fly(out, motion, 1, np.random.default_rng(2))

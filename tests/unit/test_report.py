@@ -45,7 +45,7 @@ def make_trace(arm: Arm, value: NDArray[np.float64] = TRUE) -> Trace:
     row[~instant] = state[~instant] = 1e300
     q, theta, tau = (rng.normal(size=(N, arm.n)) for _ in range(3))
     cycles = Cycles(sync=sync, q=q, theta=theta, tau=tau, omega=rng.normal(size=(N, 3)), flags=np.zeros(N, np.uint32))
-    return Trace(cycles, instant, accepted, state, row)
+    return Trace(cycles, instant, accepted, state, row, np.zeros(N, bool))
 
 
 def make_estimate(arm: Arm, value: NDArray[np.float64], **changes: Any) -> Estimate:
@@ -156,6 +156,7 @@ def test_page_of_a_run_that_gave_nothing(tmp_path: Path, cycles: int) -> None:
         np.zeros(cycles, bool),
         full.state[:cycles],
         full.row[:cycles],
+        full.waited[:cycles],
     )
     nothing = np.full(12, np.nan)
     estimate = make_estimate(arm, nothing, validity="refused", reason="too few accepted instants", residual=np.nan)

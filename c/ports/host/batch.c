@@ -19,7 +19,8 @@ static void copy(double *out, uint64_t *k, const double *in, uint64_t n)
     *k += n;
 }
 
-static void record(const zygos_t *self, const zygos_cycle_t *cycle, zygos_trace_t *trace)
+/* waited: what zygos_t had of this before the cycle. */
+static void record(const zygos_t *self, const zygos_cycle_t *cycle, uint64_t waited, zygos_trace_t *trace)
 {
     if ((trace == NULL) || (trace->count >= trace->capacity)) {
         return;
@@ -35,6 +36,9 @@ static void record(const zygos_t *self, const zygos_cycle_t *cycle, zygos_trace_
     }
     if (trace->instant) {
         trace->instant[at] = (uint8_t)self->instant;
+    }
+    if (trace->waited) {
+        trace->waited[at] = (uint8_t)(self->waited != waited);
     }
     if (trace->accepted) {
         trace->accepted[at] = (uint8_t)(self->instant && (self->accepted > 0.0));
@@ -76,12 +80,13 @@ int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n
         const zygos_cycle_t *front;
         while ((front = zygos_receiver_front(&self->receiver)) != NULL) {
             const zygos_cycle_t cycle = *front;
+            const uint64_t waited = self->waited;
             const int stepped = zygos_step(self);
             if (stepped < 0) {
                 return stepped;
             }
             cycles += stepped;
-            record(self, &cycle, trace);
+            record(self, &cycle, waited, trace);
         }
     }
     return cycles;
@@ -91,13 +96,14 @@ int64_t zygos_batch_cycles(zygos_t *self, const zygos_cycle_t *cycle, uint64_t n
 {
     int64_t cycles = 0;
     for (uint64_t i = 0; i < n; i++) {
+        const uint64_t waited = self->waited;
         const int used = zygos_cycle(self, &cycle[i]);
         if (used < 0) {
             return used;
         }
         cycles += used;
         if (used) {
-            record(self, &cycle[i], trace);
+            record(self, &cycle[i], waited, trace);
         }
     }
     return cycles;

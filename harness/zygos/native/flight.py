@@ -110,6 +110,8 @@ class Trace:
     """(n, 4N+3) smoothed q, theta, q rate, theta rate, omega; rad and rad/s. Undefined where no window was full."""
     row: NDArray[np.float64]
     """(n, p+1) the columns and the work. Undefined where `instant` is false."""
+    waited: NDArray[np.bool_]
+    """(n,) whether the instant has no row because an arc that a gap ended waited for the one before it to close."""
 
     @classmethod
     def joined(cls, parts: Sequence[Trace]) -> Trace:
@@ -605,6 +607,7 @@ class Flight:
             "invalid": int(self.native.invalid),
             "wraps": int(self.native.wraps),
             "apart": int(self.native.apart),
+            "waited": int(self.native.waited),
             "arcs_dropped": int(sums.arcs_dropped),
             "accepted": int(sums.accepted),
             "refused": int(sums.refused),
@@ -621,6 +624,7 @@ class _TraceTable:
             "sync": np.zeros(capacity, np.uint64),
             "flags": np.zeros(capacity, np.uint32),
             "instant": np.zeros(capacity, np.uint8),
+            "waited": np.zeros(capacity, np.uint8),
             "accepted": np.zeros(capacity, np.uint8),
             "measured": np.zeros((capacity, 3 * n + 3)),
             "state": np.zeros((capacity, 4 * n + 3)),
@@ -637,4 +641,5 @@ class _TraceTable:
         n = self.arm.n
         q, theta, tau, omega = np.split(used["measured"], [n, 2 * n, 3 * n], axis=1)
         cycles = Cycles(sync=used["sync"], q=q, theta=theta, tau=tau, omega=omega, flags=used["flags"])
-        return Trace(cycles, used["instant"] > 0, used["accepted"] > 0, used["state"], used["row"])
+        instant, accepted, waited = (used[name] > 0 for name in ("instant", "accepted", "waited"))
+        return Trace(cycles, instant, accepted, used["state"], used["row"], waited)

@@ -48,13 +48,18 @@ class ReferenceStages:
     solution: Solution
 
 
-def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> ReferenceStages:
+def chain(
+    arm: Arm, cycles: Cycles, effects: Sequence[Effect] = (), waited: frozenset[int] = frozenset()
+) -> ReferenceStages:
     """Apply all stages to a record, with a column for each of a model's effects that has one in the balance.
+
+    waited: positions of the cycles with which an instant was complete that the library made no row of, because an arc
+    waited for its end (`Trace.waited`): here arcs close at once.
 
     Raises ZygosError for input that does not fit the arm, Undecided for a record that does not determine the
     parameters.
     """
-    samples = calibrate(arm, cycles)
+    samples = replace(calibrate(arm, cycles), waited=waited)
     smoothed = smooth(arm, samples)
     raw = energy_rows(arm, samples, smoothed, effects)
     added = noise_of(arm, samples, smoothed, raw, effects)

@@ -287,9 +287,12 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
 
     The last stage is "solution", unless the run determines none: a run too short for any instant ends with the
     smoother, and one without any determined parameter with the bandwidth test. ended: finished arcs that the flight
-    left out; numpy leaves out the same arcs, since it does not judge them itself.
+    left out; numpy leaves out the same arcs, since it does not judge them itself, and the instants that have no row
+    because an arc waited for its end, since it closes arcs at once.
     """
-    samples = replace(calibrate(arm, trace.cycles), left_out=left_out(flight, ended))
+    told = left_out(flight, ended)
+    waited = frozenset(np.flatnonzero(trace.waited).tolist())
+    samples = replace(calibrate(arm, trace.cycles), left_out=told, waited=waited)
     smoothed = smooth(arm, samples)
     if len(smoothed.index) == 0:
         return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
