@@ -412,8 +412,8 @@ static void end_momentum_arc(zygos_t *self, uint64_t cycle)
 
 /* ---------------------------------------------------------------- gaps
 
-   An arc that a gap ends waits until the one before it is closed, which would cost many times a cycle at once. There are
-   no rows in that time: until the smoother's window is full again in any case, and then until no arc waits. */
+   An arc that a gap ends waits until the one before it is closed, which would cost many times a cycle at once. There
+   are no rows in that time: until the smoother's window is full again in any case, and then until no arc waits. */
 
 static double *forgetting_of(zygos_t *self, uint32_t kind)
 {
@@ -547,7 +547,7 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
         return;
     }
     zygos_joint_sums_drop_after(&self->joint_sums, trusted);
-    if ((doubtful != 0) && (self->ending != 0) && (self->ended <= trusted)) {
+    if ((self->ending != 0) && (self->ended <= trusted)) {
         return;
     }
     drop_waiting(self); /* with the open arcs, as which they count */

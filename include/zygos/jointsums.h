@@ -131,8 +131,9 @@ bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_
 void zygos_joint_sums_clear(zygos_joint_sums_t *self);
 
 /// Counts an instant, accepted (1) or not (0), and adds the next entries of a complete segment to its group. Call it in
-/// each cycle with an instant. row: this cycle also forms a row; updates wait for a cycle that does not, where there are
-/// enough of them. Cost: slice entries, or one update of p + 1 columns, for at most the time that the next segment takes.
+/// each cycle with an instant. row: this cycle also forms a row; updates wait for a cycle that does not, where there
+/// are enough of them. Cost: slice entries, or one update of p + 1 columns, for at most the time that the next segment
+/// takes.
 void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted, bool row);
 
 /// Adds a row and the noise of the signal whose turn it is. Returns whether the segment that is filled is complete;

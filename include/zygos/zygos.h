@@ -155,8 +155,8 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 /// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when
 /// no cycle was waiting, or an enum zygos_error: with ZYGOS_E_STATE, memory was changed and the cycle still waits; call
 /// zygos_scrub(). Cost: the same for every valid cycle of a configuration, with a part of a task (accumulator.h) beside
-/// it after the end of a block or an arc. Where arcs end in quick succession, what is left of the older one is finished
-/// before the first row of the next.
+/// it after the end of a block or an arc. Behind a gap there are no rows before an arc that it has ended is closed.
+/// Where a snap ends an arc while the one before it is closing, what is left of that is finished in this cycle.
 int zygos_step(zygos_t *self);
 
 /// Processes one cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. Call it in

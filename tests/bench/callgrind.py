@@ -18,8 +18,8 @@ from zygos.errors import ZygosError
 COMPILER = ["gcc", *house_flags(), "-g", "-static"]
 """Static: no call is bound while it is counted. With -g callgrind tells which file a function is of."""
 NO_STRING_INSTRUCTIONS = "glibc.cpu.x86_rep_movsb_threshold=1000000000:glibc.cpu.x86_rep_stosb_threshold=1000000000"
-"""With these, memcpy() and memset() of glibc work by vectors at any size. Of `rep movsb`, which is one instruction of the
-processor, callgrind counts every byte."""
+"""With these, memcpy() and memset() of glibc work by vectors at any size. Of `rep movsb`, which is one instruction of
+the processor, callgrind counts every byte."""
 ENVIRONMENT = {**os.environ, "GLIBC_TUNABLES": NO_STRING_INSTRUCTIONS}
 _WATCHED = [f"--toggle-collect=zygos_{one}" for one in ("frame", "step", "solve")]
 

@@ -91,7 +91,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
     # the places that excuse a difference are few beside the cycles that are compared
     for stage, relevant in RELEVANT.items():
         places = count.places[chosen][:, [PLACES.index(one) for one in relevant]]
-        assert not relevant or 3 * len(np.unique(places, axis=0)) < len(places), stage
+        assert not relevant or 2 * len(np.unique(places, axis=0)) < len(places), stage
 
 
 @pytest.mark.slow
@@ -99,7 +99,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
     ("target", "name"), [("x86-64", "paper, bare"), ("x86-64", "paper"), *(("m7", name) for name in CONFIGURATIONS)]
 )
 def test_no_cycle_costs_much_more_than_the_others(counted: Counter, target: str, name: str) -> None:
-    """What ends and opens arcs and blocks proceeds by a part per cycle; but not where arcs end in quick succession."""
+    """What ends and opens arcs and blocks proceeds by a part per cycle; but not where a snap ends an arc soon."""
     count = counted(target, name, CYCLES)
     cycles, early = count.stage(TOGETHER), count.early()
     assert cycles[~early].max() <= tables.FLAT * cycles[count.ordinary()].mean()
@@ -108,13 +108,13 @@ def test_no_cycle_costs_much_more_than_the_others(counted: Counter, target: str,
 
 @pytest.mark.slow
 def test_compensation_and_motor_rows_cost_little(counted: Counter) -> None:
-    """1,600 instructions of a mean cycle, at the most; effects cost something."""
+    """1,700 instructions of a mean cycle, at the most; effects cost something."""
     mean = {
         name: float(count.stage("step")[count.ordinary()].mean())
         for name in ("paper", "paper, bare", "motor_coulomb", "spring_offset")
         for count in [counted("m7", name, CYCLES)]
     }
-    assert 0.0 < mean["paper"] - mean["paper, bare"] <= 1600.0
+    assert 0.0 < mean["paper"] - mean["paper, bare"] <= 1700.0
     assert min(mean["motor_coulomb"], mean["spring_offset"]) > mean["paper"]
 
 

@@ -17,6 +17,7 @@ from scipy import sparse
 from zygos.arm import Arm
 from zygos.native.flight import Flight, Trace, ffi, lib
 from zygos.runs.cycles import Cycles
+from zygos.runs.samples import usable
 
 Floats = NDArray[np.float64]
 
@@ -80,6 +81,11 @@ def traced(arm: Arm, cycles: Cycles) -> Trace:
     trace = Flight(arm).cycles(cycles, trace=True)
     assert trace is not None
     return trace
+
+
+def waits(cycles: Cycles, trace: Trace) -> frozenset[int]:
+    """Positions of the cycles at which an arc waited, as numpy is told."""
+    return frozenset(np.flatnonzero(usable(cycles))[trace.waited].tolist())
 
 
 def arcs(arm: Arm, trace: Trace) -> list[tuple[int, int]]:

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from cases_support import CASES, Case, arm_of, parameters_of, record_of
-from flight_support import part
+from flight_support import part, waits
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
@@ -51,8 +51,7 @@ def both_of(name: str, last: int | None = None) -> Both:
     flight = Flight(arm)
     trace = flight.cycles(cycles, trace=True)
     assert trace is not None
-    waited = np.flatnonzero(usable(cycles))[trace.waited]
-    chain = reference.chain(arm, cycles, waited=frozenset(waited.tolist()))
+    chain = reference.chain(arm, cycles, waited=waits(cycles, trace))
     rounds = rounding(arm, chain.samples, tables(arm, chain.samples, chain.smoothed))
     return Both(case, arm, cycles, flight, trace, chain, rounds)
 

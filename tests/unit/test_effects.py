@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cases_support import CASES, arm_of, record_of
-from flight_support import CHOSEN, balanced, bytes_of, chosen, sines
+from flight_support import CHOSEN, balanced, bytes_of, chosen, sines, waits
 from numpy.typing import NDArray
 from plant_support import LIVELY, lively, random_arm
 from reference_support import make_arm
@@ -296,14 +296,15 @@ def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
     run = Flight(arm, effects)
     trace = run.cycles(cycles, trace=True)
     assert trace is not None
-    chain = reference.chain(arm, cycles, effects)
+    waited = waits(cycles, trace)
+    chain = reference.chain(arm, cycles, effects, waited)
     numpy = np.column_stack([chain.balance.z, chain.balance.w])
     c = trace.row[trace.instant]
     assert c.shape == numpy.shape
     assert numpy.shape[1] == len(run.names) + 1 == len(arm.parameter_names) + len(effects) + 1
     scale = np.abs(numpy).max(axis=0)
     assert (scale > 0.0).all()
-    samples = reference.calibrate(arm, cycles)
+    samples = replace(reference.calibrate(arm, cycles), waited=waited)
     known = tables(arm, samples, chain.smoothed, effects)
     assert (np.abs(c - numpy) / scale <= rounding(arm, samples, known, effects).row).all()
     rooms = check_chain(arm, trace, run)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flight_support import waits
 from numpy.typing import NDArray
 
 from zygos import reference
@@ -82,8 +83,8 @@ def test_c_is_numpy_where_a_run_begins_on_both_sides(arm: Arm, noisy: Trajectory
     readings.sync[inside[len(inside) // 2] :] += 3
     flight = Flight(other)
     trace = flight.cycles(readings, trace=True)
-    chain = reference.chain(other, readings)
     assert trace is not None
+    chain = reference.chain(other, readings, waited=waits(readings, trace))
     assert flight.counts["wraps"] == chain.samples.wraps
     assert flight.counts["apart"] == len(inside)
     instants = np.flatnonzero(trace.instant)

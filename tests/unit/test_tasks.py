@@ -255,7 +255,7 @@ def test_rows_wait_where_a_long_arc_takes_longer_to_close(arm: Arm, motion: Cycl
     assert [room.name for room in check_cycles(long, cycles) if not room.equal] == []
 
 
-@pytest.mark.parametrize(("doubtful", "arcs"), [(3, 2), (15, 1)])
+@pytest.mark.parametrize(("doubtful", "arcs"), [(0, 2), (3, 2), (15, 1)])
 def test_cycles_that_may_be_missing_while_an_arc_waits(arm: Arm, motion: Cycles, doubtful: int, arcs: int) -> None:
     """What is doubtful drops the arc that waits only where it reaches into it."""
     short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0, compensate_every=1)
