@@ -62,38 +62,23 @@ void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum)
 void zygos_gram_scan(zygos_gram_scan_t *scan, const double *gram, uint32_t first, uint32_t end)
 {
     const double *restrict from = &gram[zygos_gram_entries(first)];
+    double *restrict sum = scan->sum;
+    double *restrict most = scan->most;
     for (uint32_t i = first; i < end; i++) {
-        double *restrict sum = scan->sum;
-        double *restrict most = scan->most;
-        double row[2] = { 0.0, 0.0 };
-        double largest[2] = { 0.0, 0.0 };
-        /* Two entries at a time, for compilers that have such instructions. */
-        for (const double *stop = from + (i & ~1u); from != stop; from += 2) {
-            const double size[2] = { __builtin_fabs(from[0]), __builtin_fabs(from[1]) };
-            row[0] += from[0];
-            row[1] += from[1];
-            sum[0] += from[0];
-            sum[1] += from[1];
-            largest[0] = (size[0] > largest[0]) ? size[0] : largest[0];
-            largest[1] = (size[1] > largest[1]) ? size[1] : largest[1];
-            most[0] = (size[0] > most[0]) ? size[0] : most[0];
-            most[1] = (size[1] > most[1]) ? size[1] : most[1];
-            sum += 2;
-            most += 2;
+        double row = 0.0;
+        double top = 0.0;
+        for (uint32_t j = 0; j < i; j++) {
+            const double size = __builtin_fabs(from[j]);
+            row += from[j];
+            sum[j] += from[j];
+            top = larger(size, top);
+            most[j] = larger(size, most[j]);
         }
-        double all = row[0] + row[1];
-        double top = larger(largest[0], largest[1]);
-        if ((i & 1u) != 0) {
-            all += *from;
-            top = larger(__builtin_fabs(*from), top);
-            *sum += *from;
-            *most = larger(__builtin_fabs(*from), *most);
-            from++;
-        }
-        scan->sum[i] = all + *from;
-        scan->most[i] = larger(__builtin_fabs(*from), top);
-        scan->largest = larger(scan->most[i], scan->largest);
-        from++;
+        const double size = __builtin_fabs(from[i]);
+        sum[i] = row + from[i];
+        most[i] = larger(size, top);
+        scan->largest = larger(most[i], scan->largest);
+        from += i + 1u;
     }
 }
 
@@ -106,7 +91,7 @@ double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uin
         const double off = __builtin_fabs(scan->sum[i] - sum[i]);
         const double square = __builtin_fabs(gram[zygos_gram_entries(i + 1u) - 1u]);
         const double bound = __builtin_sqrt(square) * __builtin_sqrt(scan->largest);
-        const double tolerance = share * ((bound > scan->most[i]) ? bound : scan->most[i]);
+        const double tolerance = share * larger(bound, scan->most[i]);
         /* Not-a-number compares false with everything; neither it nor infinity is a sum. */
         const bool good = (off <= tolerance) && (tolerance < 1e300);
         const double ratio = good ? off / (tolerance + 1e-300) : 2.0;
