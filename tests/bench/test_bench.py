@@ -24,7 +24,7 @@ from zygos.errors import ZygosError
 Counter = Callable[[str, str, int], Count]
 SCANNED = 100
 """Most instructions by which a part of a task differs by its data."""
-CYCLES = 1200
+CYCLES = 2000
 """Of a run; enough for the parts of tasks to come again."""
 
 
@@ -91,7 +91,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
     # the places that excuse a difference are few beside the cycles that are compared
     for stage, relevant in RELEVANT.items():
         places = count.places[chosen][:, [PLACES.index(one) for one in relevant]]
-        assert not relevant or 2 * len(np.unique(places, axis=0)) < len(places), stage
+        assert not relevant or 3 * len(np.unique(places, axis=0)) < len(places), stage
 
 
 @pytest.mark.slow
