@@ -28,16 +28,18 @@ static void end_waiting(zygos_work_t *work)
     const zygos_config_t *config = &work->config;
     if (ends(work, (uint32_t)ZYGOS_ENERGY_ROWS)) {
         zygos_accumulator_forget(&work->accumulator, factor_of(work, (uint32_t)ZYGOS_ENERGY_ROWS));
-        zygos_guard_end_energy(&work->guard, config, &work->accumulator, work->ended, work->arc);
+        zygos_guard_end_energy(&work->guard, config, &work->accumulator, work->ended[ZYGOS_ENERGY_ROWS], work->arc);
         work->arc = 0;
     }
     if (ends(work, (uint32_t)ZYGOS_MOTOR_ROWS)) {
         zygos_motor_sums_forget(&work->motor_sums, factor_of(work, (uint32_t)ZYGOS_MOTOR_ROWS));
-        zygos_guard_end_motors(&work->guard, config, &work->column_map, &work->motor_sums, work->ended);
+        zygos_guard_end_motors(&work->guard, config, &work->column_map, &work->motor_sums,
+                               work->ended[ZYGOS_MOTOR_ROWS]);
     }
     if (ends(work, (uint32_t)ZYGOS_MOMENTUM_ROWS)) {
         zygos_momentum_sums_forget(&work->momentum_sums, factor_of(work, (uint32_t)ZYGOS_MOMENTUM_ROWS));
-        zygos_guard_end_momentum(&work->guard, config, &work->column_map, &work->momentum_sums, work->ended);
+        zygos_guard_end_momentum(&work->guard, config, &work->column_map, &work->momentum_sums,
+                                 work->ended[ZYGOS_MOMENTUM_ROWS]);
     }
     work->ending = 0;
 }

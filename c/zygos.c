@@ -279,6 +279,12 @@ static uint64_t moving_of(const zygos_t *self)
         fold = folded(fold, balance->effects.total, FROM_TO(zygos_effects_t, total, past));
         fold = folded(fold, impulse->total, FROM_TO(zygos_impulse_t, total, before));
     }
+    if (self->ending != 0) {
+        for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+            fold ^= self->ended[kind];
+        }
+        fold = folded(fold, self->ended_forgetting, (uint32_t)ZYGOS_KINDS_OF_ROWS);
+    }
     return fold;
 }
 
@@ -410,10 +416,10 @@ static void end_momentum_arc(zygos_t *self, uint64_t cycle)
     zygos_guard_close_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums, cycle);
 }
 
-/* ---------------------------------------------------------------- gaps
+/* ---------------------------------------------------------------- ends of arcs
 
-   An arc that a gap ends waits until the one before it is closed, which would cost many times a cycle at once. There
-   are no rows in that time: until the smoother's window is full again in any case, and then until no arc waits. */
+   An arc that ends while the one before it is closing waits until that one is closed, which would cost many times a
+   cycle at once. There are no rows of its kind in that time. */
 
 static double *forgetting_of(zygos_t *self, uint32_t kind)
 {
@@ -423,15 +429,28 @@ static double *forgetting_of(zygos_t *self, uint32_t kind)
     return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors_forgetting : &self->momentum_forgetting;
 }
 
-/* No arc waits any more: all fades with the next one. The products are 1 then, so that a flipped bit of what waits
-   makes nothing fade. */
-static void drop_waiting(zygos_t *self)
+static bool is_waiting(const zygos_t *self, uint32_t kind)
+{
+    return ((self->ending >> kind) & 1u) != 0;
+}
+
+/* No arc of that kind waits any more: all fades with the next one. The product is 1 then, so that a flipped bit of
+   `ending` makes nothing fade. */
+static void drop_waiting(zygos_t *self, uint32_t kind)
+{
+    if (is_waiting(self, kind)) {
+        *forgetting_of(self, kind) *= self->ended_forgetting[kind];
+        self->ending ^= 1u << kind;
+    }
+    self->ended_forgetting[kind] = 1.0;
+}
+
+static void drop_all_waiting(zygos_t *self)
 {
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        *forgetting_of(self, kind) *= self->ended_forgetting[kind];
-        self->ended_forgetting[kind] = 1.0;
+        drop_waiting(self, kind);
     }
-    self->ending = 0;
+    self->ending = 0; /* without bits of other kinds, which memory may supply */
 }
 
 static void end_arc_of(zygos_t *self, uint32_t kind, uint64_t cycle)
@@ -445,7 +464,8 @@ static void end_arc_of(zygos_t *self, uint32_t kind, uint64_t cycle)
     }
 }
 
-/* Whether the end of the open arc would first have to finish tasks. */
+/* Whether the end of the open arc would first have to finish tasks. Blocks of closed arcs that merge have to be whole
+   before they fade. */
 static bool has_to_wait(const zygos_t *self, uint32_t kind)
 {
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
@@ -454,21 +474,51 @@ static bool has_to_wait(const zygos_t *self, uint32_t kind)
     if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
         return (self->momentum_sums.task != ZYGOS_MOMENTUM_NONE) && !zygos_momentum_sums_is_short(&self->momentum_sums);
     }
-    return zygos_accumulator_busy(&self->accumulator) && !zygos_accumulator_is_short(&self->accumulator);
+    const bool fading = (self->config.forgetting_factor < 1.0) && !zygos_accumulator_rests(&self->accumulator);
+    return (zygos_accumulator_closing(&self->accumulator) || fading) && !zygos_accumulator_is_short(&self->accumulator);
 }
 
-/* Ends the arcs that wait, or those of them that no longer have to. */
-static void end_waiting(zygos_t *self, bool all)
+/* Ends the open arc, or lets it wait for that. */
+static void end_in_turn(zygos_t *self, uint32_t kind)
+{
+    if (!has_to_wait(self, kind)) {
+        end_arc_of(self, kind, self->cycle);
+        return;
+    }
+    double *forgetting = forgetting_of(self, kind);
+    self->ending |= 1u << kind;
+    self->ended[kind] = self->cycle;
+    self->ended_forgetting[kind] = *forgetting;
+    *forgetting = 1.0;
+}
+
+/* Ends the arc that waits, if there is one of that kind. */
+static void end_waiting(zygos_t *self, uint32_t kind)
+{
+    if (is_waiting(self, kind)) {
+        double *forgetting = forgetting_of(self, kind);
+        const double since = *forgetting;
+        self->ending ^= 1u << kind;
+        *forgetting = self->ended_forgetting[kind];
+        self->ended_forgetting[kind] = 1.0;
+        end_arc_of(self, kind, self->ended[kind]);
+        *forgetting *= since;
+    }
+}
+
+static void end_all_waiting(zygos_t *self)
 {
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        if (((self->ending >> kind) & 1u) && (all || !has_to_wait(self, kind))) {
-            double *forgetting = forgetting_of(self, kind);
-            const double since = *forgetting;
-            self->ending ^= 1u << kind;
-            *forgetting = self->ended_forgetting[kind];
-            self->ended_forgetting[kind] = 1.0;
-            end_arc_of(self, kind, self->ended);
-            *forgetting *= since;
+        end_waiting(self, kind);
+    }
+}
+
+/* Ends those arcs that no longer have to wait. */
+static void end_free(zygos_t *self)
+{
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        if (!has_to_wait(self, kind)) {
+            end_waiting(self, kind);
         }
     }
 }
@@ -481,29 +531,24 @@ static void gap(zygos_t *self)
     zygos_impulse_reset(&self->impulse);
     zygos_momentum_reset(&self->momentum);
     zygos_joint_reset(&self->joint, &self->config);
-    const uint32_t waiting = self->ending; /* since another gap */
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        if ((waiting >> kind) & 1u) {
-            continue;
-        }
-        if (has_to_wait(self, kind)) {
-            double *forgetting = forgetting_of(self, kind);
-            self->ending |= 1u << kind;
-            self->ended = self->cycle;
-            self->ended_forgetting[kind] = *forgetting;
-            *forgetting = 1.0;
-        } else {
-            end_arc_of(self, kind, self->cycle);
+        if (!is_waiting(self, kind)) {
+            end_in_turn(self, kind);
         }
     }
+}
+
+/* How many parts of tasks cost less than an energy row. */
+static uint32_t idle_parts(const zygos_config_t *config)
+{
+    return IDLE_PARTS + ((config->compensation > 0) ? 1u : 0u);
 }
 
 /* The tasks proceed in a cycle without rows. */
 static void idle(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
-    const uint32_t parts = IDLE_PARTS + ((config->compensation > 0) ? 1u : 0u);
-    for (uint32_t part = 0; part < parts; part++) {
+    for (uint32_t part = 0; part < idle_parts(config); part++) {
         zygos_accumulator_share_slice(&self->accumulator);
         if (self->motor_sums.task != ZYGOS_MOTOR_NONE) {
             (void)zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
@@ -513,7 +558,7 @@ static void idle(zygos_t *self)
             zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
         }
         if (self->ending != 0) {
-            end_waiting(self, false);
+            end_free(self);
         }
     }
 }
@@ -530,12 +575,23 @@ static void settle(zygos_t *self)
 {
     settle_sums(self);
     if (self->ending != 0) {
-        end_waiting(self, true);
+        end_all_waiting(self);
         settle_sums(self);
     }
 }
 
-/* Drops what reaches into the cycles that cannot be trusted. Nothing is newer than arcs that wait for their end. */
+static void drop_after(zygos_t *self, uint32_t kind, uint64_t cycle)
+{
+    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
+        zygos_motor_sums_drop_after(&self->motor_sums, cycle);
+    } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
+        zygos_momentum_sums_drop_after(&self->momentum_sums, cycle);
+    } else {
+        zygos_accumulator_drop_after(&self->accumulator, cycle);
+    }
+}
+
+/* Drops what reaches into the cycles that cannot be trusted. No row of its kind is newer than an arc that waits. */
 static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
 {
     if (!(cycle->flags & ZYGOS_CYCLE_VOID)) {
@@ -547,19 +603,36 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
         return;
     }
     zygos_joint_sums_drop_after(&self->joint_sums, trusted);
-    if ((self->ending != 0) && (self->ended <= trusted)) {
-        return;
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        if (!is_waiting(self, kind) || (self->ended[kind] > trusted)) {
+            drop_waiting(self, kind); /* with the open arc, as which it counts */
+            drop_after(self, kind, trusted);
+        }
     }
-    drop_waiting(self); /* with the open arcs, as which they count */
-    zygos_accumulator_drop_after(&self->accumulator, trusted);
-    zygos_motor_sums_drop_after(&self->motor_sums, trusted);
-    zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
 }
 
 /* No cycle is processed before zygos_scrub(), which computes the number anew. */
 static void suspect(zygos_t *self)
 {
     self->places = ~places_of(self);
+}
+
+/* An instant without a row, because an arc of that kind waits; the last such one where the arc can end. */
+static void go_without_row(zygos_t *self, uint32_t kind)
+{
+    self->waited[kind]++;
+    if (!has_to_wait(self, kind)) {
+        end_waiting(self, kind);
+    }
+}
+
+/* Whether this cycle is not for the tasks of these rows: with short arcs they always have one. Every other cycle is for
+   those of the energy rows, and every fourth one for those of the momentum rows where these wait. */
+static bool yields(const zygos_t *self, uint32_t kind)
+{
+    const uint32_t turn = (uint32_t)(self->cycles & 3u);
+    const bool momentum = is_waiting(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && (turn == 1u);
+    return ((turn & 1u) == 0) || (momentum && (kind == (uint32_t)ZYGOS_MOTOR_ROWS));
 }
 
 /* The motor impulse rows of the newest instant, which have arcs of their own. busy: this cycle has done something that
@@ -575,10 +648,17 @@ static bool add_impulses(zygos_t *self, bool busy)
                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
         return busy;
     }
-    zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
-    busy = busy || zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
-    if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
-        end_joint_arc(self, self->cycle);
+    const bool waits = is_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS);
+    if (!waits) {
+        zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
+    }
+    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOTOR_ROWS) &&
+                    zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums));
+    if (waits) {
+        go_without_row(self, (uint32_t)ZYGOS_MOTOR_ROWS);
+        zygos_impulse_new_arc(&self->impulse);
+    } else if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
+        end_in_turn(self, (uint32_t)ZYGOS_MOTOR_ROWS);
         zygos_impulse_new_arc(&self->impulse);
     }
     return busy;
@@ -592,11 +672,18 @@ static bool add_momentum(zygos_t *self, bool busy)
         (zygos_momentum_advance(&self->momentum, config, &self->arm_state) == 0)) {
         return busy;
     }
-    zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->arm_state, &self->motion,
-                            self->arm_state.accepted);
-    busy = busy || zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums);
-    if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
-        end_momentum_arc(self, self->cycle);
+    const bool waits = is_waiting(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
+    if (!waits) {
+        zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->arm_state, &self->motion,
+                                self->arm_state.accepted);
+    }
+    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) &&
+                    zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums));
+    if (waits) {
+        go_without_row(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
+        zygos_momentum_new_arc(&self->momentum);
+    } else if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
+        end_in_turn(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
         zygos_momentum_new_arc(&self->momentum);
     }
     return busy;
@@ -633,6 +720,16 @@ static void add_energy(zygos_t *self, bool busy)
                            &self->motion, row) == 0)) {
         return;
     }
+    if (is_waiting(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
+        const uint32_t parts = busy ? 1u : idle_parts(config);
+        for (uint32_t part = 0; part < parts; part++) {
+            zygos_accumulator_share_slice(&self->accumulator);
+            zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
+        }
+        go_without_row(self, (uint32_t)ZYGOS_ENERGY_ROWS);
+        zygos_balance_new_arc(&self->balance);
+        return;
+    }
     self->instant = 1;
     self->accepted = self->arm_state.accepted;
     zygos_noise_means(&self->noise, config, &self->motion, row);
@@ -662,7 +759,7 @@ static void add_energy(zygos_t *self, bool busy)
     const double shortest = (double)(config->arc_cycles / SHORTEST);
     const double longest = (double)config->arc_cycles;
     if ((double)self->arc >= shortest + self->arm_state.accepted * (longest - shortest)) {
-        end_arc(self, self->cycle);
+        end_in_turn(self, (uint32_t)ZYGOS_ENERGY_ROWS);
         zygos_balance_new_arc(&self->balance);
     }
 }
@@ -697,8 +794,7 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if ((smoothed < 0) || !zygos_balance_torque_is_whole(&self->balance, &self->config)) {
         suspect(self);
     }
-    if ((smoothed != 1) || (self->ending != 0)) {
-        self->waited += (smoothed == 1) ? 1u : 0u;
+    if (smoothed != 1) {
         idle(self);
         return;
     }
@@ -870,7 +966,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
     work->cycle = self->cycle;
     work->arc = self->arc;
     work->ending = self->ending;
-    work->ended = self->ended;
+    memcpy(work->ended, self->ended, sizeof work->ended);
     memcpy(work->ended_forgetting, self->ended_forgetting, sizeof work->ended_forgetting);
     work->config = self->config;
 }
@@ -955,7 +1051,7 @@ static void drop_open(zygos_t *self)
     zygos_joint_sums_drop_after(&self->joint_sums, self->cycle);
     self->arc = 0;
     self->instant = 0;
-    drop_waiting(self);
+    drop_all_waiting(self);
 }
 
 /* Indices and flags that change. Returns what was found. */
@@ -1108,7 +1204,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         self->invalid = 0;
         self->wraps = 0;
         self->apart = 0;
-        self->waited = 0;
+        memset(self->waited, 0, sizeof self->waited);
     }
     for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(&self->receiver) != NULL); i++) {
         zygos_receiver_pop(&self->receiver);
@@ -1118,12 +1214,11 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
     if (joints) {
-        self->ending &= 1u << (uint32_t)ZYGOS_MOTOR_ROWS; /* the other sums, which may be corrupt, are cleared */
-        end_waiting(self, true);
+        end_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS); /* the other sums, which may be corrupt, are cleared */
         end_joint_arc(self, self->cycle);
         zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
     }
-    drop_waiting(self);
+    drop_all_waiting(self);
     if (!joints) {
         zygos_motor_sums_clear(&self->motor_sums, &self->config);
         self->motors_forgetting = 1.0;

@@ -15,8 +15,8 @@
 /// proceeds by a part in a cycle that neither opens a segment nor proceeds with a task of other rows: to verify the
 /// blocks of an arc that ended, to eliminate its constant, to compare it with the running solution (guard.h), to admit
 /// it to the closed arcs, to merge two blocks, and to clear one. An arc is closing from its end until it is admitted.
-/// An arc that a gap ends while another one is closing waits until that one is admitted (zygos.h); the tasks also
-/// proceed in cycles without rows. Who reads the sums finishes these tasks on a copy first; the result is then the same
+/// An arc that ends while another one is closing waits until that one is admitted (zygos.h); the tasks also proceed in
+/// cycles without rows. Who reads the sums finishes these tasks on a copy first; the result is then the same
 /// as if they had been finished when the arc ended.
 ///
 /// The bias of the sums by noise (noise.h) is subtracted from the buffer that its instant is in, and is also summed for

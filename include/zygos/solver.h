@@ -191,9 +191,9 @@ typedef struct {
     zygos_guard_t guard;
     double joints_forgetting;
     uint64_t cycle;
-    uint32_t arc;    ///< Number of instants in the open arc of the energy rows.
-    uint32_t ending; ///< Kinds of rows, as bits, whose open arc has ended and waits (zygos.h).
-    uint64_t ended;  ///< The newest cycle of these arcs.
+    uint32_t arc;                        ///< Number of instants in the open arc of the energy rows.
+    uint32_t ending;                     ///< Kinds of rows, as bits, whose open arc has ended and waits (zygos.h).
+    uint64_t ended[ZYGOS_KINDS_OF_ROWS]; ///< The newest cycle of these arcs.
     double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors.
     zygos_config_t config;
     zygos_column_map_t column_map;

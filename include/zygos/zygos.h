@@ -67,13 +67,14 @@ typedef struct {
     uint64_t invalid;         ///< Number of cycles given to zygos_cycle() that were flagged invalid or not finite.
     uint64_t wraps;           ///< Number of times an angle passed the end of its multi-turn range; the arc ends.
     uint64_t apart;           ///< Number of cycles with link and motor angle on different sides of that end, not used.
-    uint64_t waited;          ///< Number of instants that have no row, because an arc waited for its end (ending).
-    uint32_t arc;             ///< Number of instants of the open arc, accepted or not.
-    uint32_t instant;         ///< 1: arm_state, row and accepted below belong to the newest cycle.
-    uint32_t ending;          ///< Kinds of rows (enum zygos_rows), as bits, whose open arc a gap has ended, and waits
-                              ///< until the arc before it is closed.
+    uint64_t waited[ZYGOS_KINDS_OF_ROWS]; ///< Number of instants that have no row of a kind, because an arc of these
+                                          ///< rows waited for its end (ending).
+    uint32_t arc;                         ///< Number of instants of the open arc, accepted or not.
+    uint32_t instant;                     ///< 1: arm_state, row and accepted below belong to the newest cycle.
+    uint32_t ending; ///< Kinds of rows (enum zygos_rows), as bits, whose open arc has ended, and waits until
+                     ///< the arc before it is closed. There are no rows of these kinds until then.
     uint32_t reserved;
-    uint64_t ended;                               ///< The newest cycle of these arcs.
+    uint64_t ended[ZYGOS_KINDS_OF_ROWS];          ///< The newest cycle of these arcs.
     double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors; 1 where none waits.
     double forgetting;                            ///< Product of the forgetting factors of the cycles in the open arc.
     double motors_forgetting;                     ///< The same for the motor rows.
@@ -106,7 +107,7 @@ typedef struct {
 /// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
 /// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xBF0B0C0Cu
+#define ZYGOS_LAYOUT 0x0A78FB34u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -155,8 +156,8 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 /// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when
 /// no cycle was waiting, or an enum zygos_error: with ZYGOS_E_STATE, memory was changed and the cycle still waits; call
 /// zygos_scrub(). Cost: the same for every valid cycle of a configuration, with a part of a task (accumulator.h) beside
-/// it after the end of a block or an arc. Behind a gap there are no rows before an arc that it has ended is closed.
-/// Where a snap ends an arc while the one before it is closing, what is left of that is finished in this cycle.
+/// it after the end of a block or an arc. An arc that ends while the one before it is closing waits until that one is
+/// closed; until then there are no rows of its kind.
 int zygos_step(zygos_t *self);
 
 /// Processes one cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. Call it in
@@ -227,11 +228,12 @@ enum zygos_scrubbed {
 /// cycle behind the last call is dropped, and the running solution (guard.h) is discarded. Cycles that wait are dropped
 /// with a changed configuration, for they may lack joints. Indices and counts are set to possible values. Blocks that
 /// do not match their row sums or their checksum are dropped and counted. Memory that nothing has changed is left as it
-/// is, except for the member scrubbed. Returns 0 when nothing was found; bits of enum zygos_scrubbed; ZYGOS_E_NULL;
-/// ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or ZYGOS_E_CONFIG, with *self unchanged, when *config is
-/// not the configuration that *self was initialised with. Not checked are readings, smoothed signals and the integrals
-/// of joint rows, which last for a window or an increment, and counters of faults. Cost: one pass over *self for
-/// checksums and row sums, less than zygos_check(); where something has to be repaired, also that of zygos_restart().
+/// is, except for the member scrubbed, and an arc that waits for its end is ended. Returns 0 when nothing was found;
+/// bits of enum zygos_scrubbed; ZYGOS_E_NULL; ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or
+/// ZYGOS_E_CONFIG, with *self unchanged, when *config is not the configuration that *self was initialised with. Not
+/// checked are readings, smoothed signals and the integrals of joint rows, which last for a window or an increment, and
+/// counters of faults. Cost: one pass over *self for checksums and row sums, less than zygos_check(); where something
+/// has to be repaired, also that of zygos_restart().
 int zygos_scrub(zygos_t *self, const zygos_config_t *config);
 
 /// Restarts the estimate with the same configuration, for example because the payload changed or the sums are corrupt.

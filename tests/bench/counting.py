@@ -34,7 +34,7 @@ TOGETHER = "frame + step"
 """A full cycle: its frames in, its row accumulated."""
 FOLDED = {"motorsums": "impulse", "momentumsums": "momentum", "jointsums": "joint", "reduction": "balance"}
 """Files that are part of another room."""
-KINDS = ("fills", "block", "arc", "cycle", "early")
+KINDS = ("fills", "block", "arc", "cycle", "waits")
 """Of cycles, as bench/driver.c numbers them."""
 SIZES = (
     "parameters", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "joint", "noise", "accumulator",
@@ -89,9 +89,9 @@ class Count:
         parts = name.split(" + ")
         return np.asarray(self.tally.stages[:, [STAGES.index(part) for part in parts]].sum(axis=1), dtype=np.int64)
 
-    def early(self) -> NDArray[np.bool_]:
-        """(n,) cycles in which an arc ends while the one before it is closing."""
-        return np.asarray(self.kinds == KINDS.index("early"), dtype=np.bool_)
+    def waits(self) -> NDArray[np.bool_]:
+        """(n,) cycles in which an arc that has ended waits until the one before it is closed."""
+        return np.asarray(self.kinds == KINDS.index("waits"), dtype=np.bool_)
 
     def ordinary(self) -> NDArray[np.bool_]:
         """(n,) cycles that form a row, and neither open a block nor begin or end an arc."""

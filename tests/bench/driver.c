@@ -38,7 +38,7 @@ enum kind {
                    of joint rows is complete */
     KIND_ARC,   /* the row begins or ends its arc, or that of the motor or momentum rows */
     KIND_CYCLE, /* any other row */
-    KIND_EARLY  /* an arc ends while the one before is closing, or has waited for that */
+    KIND_WAITS  /* an arc waits for its end, or has waited until this cycle */
 };
 
 /* What a cycle was, and all on which its cost may depend beside its data: its frames, whose turn it is, and where rings
@@ -66,6 +66,16 @@ static uint32_t energy_task(const zygos_accumulator_t *sums)
            (dirty << 12u) | ((sums->task != ZYGOS_TASK_NONE) ? sums->row : 0u);
 }
 
+static uint32_t motor_task(const zygos_motor_sums_t *sums)
+{
+    return (sums->task << 16u) | sums->joint;
+}
+
+static uint32_t momentum_task(const zygos_momentum_sums_t *sums)
+{
+    return (sums->task << 16u) | sums->row;
+}
+
 /* What counts instructions sees this call behind each cycle. */
 __attribute__((noinline)) void driver_mark(void)
 {
@@ -90,17 +100,17 @@ static place_t step(uint32_t frames)
     const uint32_t tasks[3] = { sums->task, arm.motor_sums.task, arm.momentum_sums.task };
     const uint32_t of_energy = energy_task(sums);
     const uint32_t energy_row = sums->row;
-    const uint32_t of_motors = (arm.motor_sums.task << 16u) | arm.motor_sums.joint;
-    const uint32_t of_momentum = (arm.momentum_sums.task << 16u) | arm.momentum_sums.row;
-    const uint32_t open[3] = { arm.arc, arm.motor_sums.cycles, arm.momentum_sums.cycles };
-    const bool closing[3] = { zygos_accumulator_closing(sums) && (sums->closing_instants > 0),
-                              tasks[1] != ZYGOS_MOTOR_NONE, tasks[2] != ZYGOS_MOMENTUM_NONE };
+    const uint32_t of_motors = motor_task(&arm.motor_sums);
+    const uint32_t of_momentum = momentum_task(&arm.momentum_sums);
+    const uint32_t ending = arm.ending;
     (void)zygos_step(&arm);
     driver_mark();
     const bool turned =
         (sums->task != tasks[0]) || (arm.motor_sums.task != tasks[1]) || (arm.momentum_sums.task != tasks[2]);
     /* a cycle that does something else leaves the task where it is */
     const bool rests = (tasks[0] != ZYGOS_TASK_NONE) && (sums->task == tasks[0]) && (sums->row == energy_row);
+    const bool motors_rest = (tasks[1] != ZYGOS_MOTOR_NONE) && (of_motors == motor_task(&arm.motor_sums));
+    const bool momentum_rests = (tasks[2] != ZYGOS_MOMENTUM_NONE) && (of_momentum == momentum_task(&arm.momentum_sums));
     const bool energy = (config->arc_cycles > 0);
     const bool instant = energy ? (arm.instant == 1) : (joints->accepted + joints->refused != instants);
     const uint32_t left = config->joint_row_cycles / 2u - arm.joint.position;
@@ -111,12 +121,10 @@ static place_t step(uint32_t frames)
     const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
     const bool block = (energy && opened) || turned || (joints->segments != segments);
     const uint32_t kind = edge ? KIND_ARC : (block ? KIND_BLOCK : KIND_CYCLE);
-    const bool early = (closing[0] && (arm.arc < open[0])) || (closing[1] && (arm.motor_sums.cycles < open[1])) ||
-                       (closing[2] && (arm.momentum_sums.cycles < open[2]));
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
     const uint32_t first_link = ((arm.arc % sensors) == 1u) ? 1u : 0u; /* its noise was added: no part of a task */
     return (place_t){
-        .kind = early ? KIND_EARLY : (instant ? kind : KIND_FILLS),
+        .kind = ((ending | arm.ending) != 0u) ? KIND_WAITS : (instant ? kind : KIND_FILLS),
         .frames = frames,
         .turn = (arm.arc + sensors - 1u) % sensors,
         .joint_turn = arm.motor_sums.cycles % config->joints,
@@ -131,8 +139,8 @@ static place_t step(uint32_t frames)
         .row_moved =
             adding + (((adding == 1u) && (cursor + joints->slice >= zygos_gram_entries(joints->width))) ? 2u : 0u),
         .energy_task = of_energy | (first_link << 30u) | (rests ? 1u << 31u : 0u),
-        .motor_task = of_motors,
-        .momentum_task = of_momentum,
+        .motor_task = of_motors | (motors_rest ? 1u << 31u : 0u),
+        .momentum_task = of_momentum | (momentum_rests ? 1u << 31u : 0u),
     };
 }
 

@@ -50,8 +50,8 @@ def measure(target: str, name: str) -> tuple[list[dict[str, Any]], dict[str, flo
 
 
 def _costs(count: Count, stage: str) -> dict[str, Any]:
-    """Instructions: the mean of ordinary cycles; how far they are apart; and the most of any cycle, apart from those in
-    which an arc ends while the one before it is closing, and of these."""
+    """Instructions: the mean of ordinary cycles; how far they are apart; and the most of any cycle, and of those in
+    which an arc waits until the one before it is closed."""
     if stage in ("solver", "solve", LIBRARY):
         solved = None if stage == LIBRARY else count.tally.solve
         return {
@@ -59,16 +59,16 @@ def _costs(count: Count, stage: str) -> dict[str, Any]:
             "spread": None,
             "spread_by_place": None,
             "most": solved,
-            "early": None,
+            "waits": None,
             "inputs": 1,
         }
-    chosen, counted, early = count.ordinary(), count.stage(stage), count.early()
+    chosen, counted, waits = count.ordinary(), count.stage(stage), count.waits()
     return {
         "instructions": round(float(counted[chosen].mean()), 1),
         "spread": spread_by_data(count, stage),
         "spread_by_place": int(counted[chosen].max() - counted[chosen].min()),
-        "most": int(counted[~early].max()),
-        "early": int(counted[early].max()) if early.any() else None,
+        "most": int(counted.max()),
+        "waits": int(counted[waits].max()) if waits.any() else None,
         "inputs": int(chosen.sum()),
     }
 

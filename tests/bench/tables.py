@@ -33,7 +33,7 @@ NEEDED = ("frame", "smoother", "kinematics", "balance")
 LANES = {"x86-64": 2, "m7": 1}
 """Doubles that an instruction adds or multiplies."""
 FLAT = 1.6
-"""Most that a cycle costs relative to the mean, unless a snap ends an arc while the one before it is closing."""
+"""Most that a cycle costs relative to the mean."""
 QUARTER = 0.25
 """Most that balance and accumulator take of the instructions of Pinocchio, as it comes, and Eigen; paper's arm."""
 CLOCK_MHZ, CYCLES_PER_INSTRUCTION = 216.0, (1.0, 2.0)
@@ -240,13 +240,13 @@ def _most_expensive(of: dict[tuple[str, str, str], dict[str, Any]]) -> str:
     lines = []
     for name in CONFIGURATIONS:
         here = [of[target, name, TOGETHER] for target in TITLES]
-        cells = [_ratio(row[which], row["instructions"]) for row in here for which in ("most", "early")]
+        cells = [_ratio(row[which], row["instructions"]) for row in here for which in ("most", "waits")]
         lines.append([_title(name, here[0]["parameters"]), *cells])
-    head = [f"{title}{what}" for title in TITLES.values() for what in ("", ", early end")]
+    head = [f"{title}{what}" for title in TITLES.values() for what in ("", ", an arc waits")]
     return (
         "\n### Most expensive cycle, relative to the mean of a full cycle\n\n"
-        "Of all cycles that form a row or end an arc, and of those in which an arc ends while the one before it is "
-        "closing.\n\n" + _table(("configuration", *head), lines)
+        "Of all cycles, and of those in which an arc that has ended waits until the one before it is closed.\n\n"
+        + _table(("configuration", *head), lines)
     )
 
 
@@ -266,7 +266,6 @@ def _times(of: dict[tuple[str, str, str], dict[str, Any]]) -> str:
                 f"{1e3 * make().arm.period_s:g}",
                 cells(together["instructions"], 1e-6),
                 cells(together["most"], 1e-3),
-                "–" if together["early"] is None else cells(together["early"], 1e-3),
                 cells(solve["most"], 1e-3),
             ]
         )
@@ -281,7 +280,6 @@ def _times(of: dict[tuple[str, str, str], dict[str, Any]]) -> str:
                 "SYNC period, ms",
                 "full cycle, µs",
                 "most expensive cycle, ms",
-                "with an early end, ms",
                 "solve, ms",
             ),
             lines,

@@ -162,6 +162,7 @@ ITEMS = {
     **{534 + i: (f"count_{name}", "") for i, name in enumerate(COUNTS)},
     **{542 + i: (f"node_{name}", "") for i, name in enumerate(NODE)},
     548: ("count_apart", ""),
+    549: ("count_waited", ""),
     **{768 + i: (f"verdict_{name}", "J" if name == "residual" else "") for i, name in enumerate(VERDICTS)},
     **{1024 + i: (f"{name}_half95", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
     **{1280 + i: (f"{name}_refined", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},

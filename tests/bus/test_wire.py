@@ -440,7 +440,7 @@ def test_telemetry_against_all_three(generated: dict[bool, GeneratedC]) -> None:
     message = DATABASE.get_message_by_name("TELEMETRY")
     names = {next(iter(s.multiplexer_ids)): s.name for s in message.signals if s.multiplexer_ids}
     places = sorted(names)
-    assert len(places) == 5 * 12 + 37 + 14 + 16
+    assert len(places) == 5 * 12 + 38 + 14 + 16
     rng = np.random.default_rng(11)
     largest = float(np.finfo(np.float32).max)
     numbers = [0.0, -0.0, 1.0, largest, -largest, 1e-45, 1.17549435e-38, *rng.normal(size=200).astype(np.float32)]

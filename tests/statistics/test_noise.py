@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from arm_support import State as Sample
 from arm_support import random_arm, random_state
-from flight_support import sines
+from flight_support import sines, waits
 from noise_support import Floats, NoiseRoom, measured, noisy_rows
 from scipy.stats import norm
 
@@ -190,13 +190,13 @@ def test_library_and_twin(seed: int, joints: int, base: str, kinetic: str, kind:
     cycles = moving(arm, 400)
     cycles = with_noise(cycles, noises(np.random.default_rng(seed), arm, cycles))
     cycles.q[57, 0] += 0.01  # the bandwidth test refuses the instants around
-    cycles.theta[157, 0] += 0.01
+    cycles.theta[62, 0] += 0.01
     springs = {joint.name for joint in arm.joints if joint.flexible}
     effects = [effect for effect in every_effect(arm) if effect.joint in springs]
     flight = Flight(arm, effects)
     trace = flight.cycles(cycles, trace=True)
     assert trace is not None
-    samples = reference.calibrate(arm, cycles)
+    samples = replace(reference.calibrate(arm, cycles), waited=waits(cycles, trace))
     smoothed = reference.smooth(arm, samples)
     raw = reference.energy_rows(arm, samples, smoothed, effects)
     added = reference.noise_of(arm, samples, smoothed, raw, effects)

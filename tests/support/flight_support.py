@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from zygos.arm import Arm
-from zygos.native.flight import Flight, Trace, ffi, lib
+from zygos.native.flight import ROWS, Flight, Trace, ffi, lib
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import usable
 
@@ -83,9 +83,10 @@ def traced(arm: Arm, cycles: Cycles) -> Trace:
     return trace
 
 
-def waits(cycles: Cycles, trace: Trace) -> frozenset[int]:
-    """Positions of the cycles at which an arc waited, as numpy is told."""
-    return frozenset(np.flatnonzero(usable(cycles))[trace.waited].tolist())
+def waits(cycles: Cycles, trace: Trace) -> dict[str, frozenset[int]]:
+    """Positions of the cycles at which an arc of each kind of rows waited, as numpy is told."""
+    used = np.flatnonzero(usable(cycles))
+    return {kind: frozenset(used[of].tolist()) for kind, of in zip(ROWS, trace.waited.T, strict=True)}
 
 
 def arcs(arm: Arm, trace: Trace) -> list[tuple[int, int]]:

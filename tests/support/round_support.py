@@ -40,7 +40,7 @@ def round_of(flight: Flight) -> dict[str, float]:
         "verdict_gate": estimate.signal_to_noise,
         "verdict_left_out": estimate.left_out[0],
         **{f"fault_{name}": n for name, n in flight.faults.items()},
-        **{f"count_{name}": n for name, n in flight.counts.items() if name != "waited"},
+        **{f"count_{name}": n for name, n in flight.counts.items()},
         "count_arcs": flight.native.accumulator.arcs,
         **{f"node_{name}": 0 for name in ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")},
     }

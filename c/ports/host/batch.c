@@ -19,8 +19,8 @@ static void copy(double *out, uint64_t *k, const double *in, uint64_t n)
     *k += n;
 }
 
-/* waited: what zygos_t had of this before the cycle. */
-static void record(const zygos_t *self, const zygos_cycle_t *cycle, uint64_t waited, zygos_trace_t *trace)
+/* waited: what zygos_t had of these before the cycle. */
+static void record(const zygos_t *self, const zygos_cycle_t *cycle, const uint64_t *waited, zygos_trace_t *trace)
 {
     if ((trace == NULL) || (trace->count >= trace->capacity)) {
         return;
@@ -38,7 +38,11 @@ static void record(const zygos_t *self, const zygos_cycle_t *cycle, uint64_t wai
         trace->instant[at] = (uint8_t)self->instant;
     }
     if (trace->waited) {
-        trace->waited[at] = (uint8_t)(self->waited != waited);
+        uint32_t kinds = 0;
+        for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+            kinds |= (uint32_t)(self->waited[kind] != waited[kind]) << kind;
+        }
+        trace->waited[at] = (uint8_t)kinds;
     }
     if (trace->accepted) {
         trace->accepted[at] = (uint8_t)(self->instant && (self->accepted > 0.0));
@@ -80,7 +84,8 @@ int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n
         const zygos_cycle_t *front;
         while ((front = zygos_receiver_front(&self->receiver)) != NULL) {
             const zygos_cycle_t cycle = *front;
-            const uint64_t waited = self->waited;
+            uint64_t waited[ZYGOS_KINDS_OF_ROWS];
+            memcpy(waited, self->waited, sizeof waited);
             const int stepped = zygos_step(self);
             if (stepped < 0) {
                 return stepped;
@@ -96,7 +101,8 @@ int64_t zygos_batch_cycles(zygos_t *self, const zygos_cycle_t *cycle, uint64_t n
 {
     int64_t cycles = 0;
     for (uint64_t i = 0; i < n; i++) {
-        const uint64_t waited = self->waited;
+        uint64_t waited[ZYGOS_KINDS_OF_ROWS];
+        memcpy(waited, self->waited, sizeof waited);
         const int used = zygos_cycle(self, &cycle[i]);
         if (used < 0) {
             return used;

@@ -12,7 +12,8 @@ typedef struct {
     uint64_t *sync;    ///< capacity: SYNC number.
     uint32_t *flags;   ///< capacity: flags of the cycle.
     uint8_t *instant;  ///< capacity: 1 when the cycle completed an instant with a row.
-    uint8_t *waited;   ///< capacity: 1 when there is no row because an arc waited for its end.
+    uint8_t *waited;   ///< capacity: kinds of rows (enum zygos_rows), as bits, of which there is no row because an
+                       ///< arc waited for its end.
     uint8_t *accepted; ///< capacity: 1 when the row was accumulated.
     double *measured;  ///< capacity x (3N+3): readings q, theta, tau, omega.
     double *state;     ///< capacity x (4N+3): smoothed q, theta, q rate, theta rate, omega.

@@ -6,7 +6,7 @@
 #define HEARTBEAT 0x700u
 #define MODULUS 0x1000000u
 
-_Static_assert(ZYGOS_FAULT_COUNTERS + 15u == NODE_COUNTERS, "a counter without a name");
+_Static_assert(ZYGOS_FAULT_COUNTERS + 16u == NODE_COUNTERS, "a counter without a name");
 
 const char *const node_counter_name[NODE_COUNTERS] = {
     "fault_length",         "fault_crc",           "fault_range",        "fault_late",         "fault_counter",
@@ -16,7 +16,7 @@ const char *const node_counter_name[NODE_COUNTERS] = {
     "fault_overrun",        "fault_bus_error",     "count_cycles",       "count_gaps",         "count_invalid",
     "count_wraps",          "count_accepted",      "count_refused",      "count_arcs",         "count_arcs_dropped",
     "node_overflow",        "node_misshapen",      "node_down",          "node_unsent",        "node_corrupt",
-    "node_unsaved",         "count_apart",
+    "node_unsaved",         "count_apart",         "count_waited",
 };
 
 void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *out)
@@ -42,6 +42,7 @@ void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *ou
         losses->corrupt,
         losses->unsaved,
         arm->apart,
+        arm->waited[ZYGOS_ENERGY_ROWS] + arm->waited[ZYGOS_MOTOR_ROWS] + arm->waited[ZYGOS_MOMENTUM_ROWS],
     };
     memcpy(&out[ZYGOS_FAULT_COUNTERS], other, sizeof other);
 }

@@ -19,7 +19,7 @@ enum node_kind {
     NODE_REFINEMENT = 7     ///< Why it is or is not published, and the innovations.
 };
 
-#define NODE_COUNTERS 37u
+#define NODE_COUNTERS 38u
 #define NODE_VERDICTS 14u
 #define NODE_REFINEMENTS 16u
 #define NODE_MAX_ITEMS (5u * ZYGOS_MAX_PARAMETERS + NODE_COUNTERS + NODE_VERDICTS + NODE_REFINEMENTS)

@@ -16,17 +16,27 @@ MIN_ARC_INSTANTS = 20
 """An arc with fewer accepted instants is dropped."""
 
 
-def numbered(smoothed: Smoothed, longest: int) -> NDArray[np.int64]:
+def without_row(arm: Arm, samples: Samples, smoothed: Smoothed, rows: str) -> NDArray[np.bool_]:
+    """(m,) whether the library made no row of such rows ("energy", "motor", "momentum") of a smoothed instant, because
+    an arc waited for its end."""
+    return np.isin(smoothed.index + arm.smoother.lag, sorted(samples.waited.get(rows, ())))
+
+
+def numbered(smoothed: Smoothed, longest: int, without: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
     """Number from 0 of the arc of each of m smoothed instants, (m,), -1 for those that only fill the integrals.
 
-    An arc lies within one segment and holds at most `longest` instants.
+    An arc lies within one segment and holds at most `longest` instants. without: (m,) as of `without_row`; these are in
+    no arc either, and none goes on behind them.
     """
     arc = np.full(len(smoothed.index), -1, dtype=np.int64)
+    held = np.zeros(len(arc), np.bool_) if without is None else without
     arcs = 0
     for number in np.unique(smoothed.segment):
         of = np.flatnonzero(smoothed.segment == number)[FILL_INSTANTS:]
-        arc[of] = arcs + np.arange(len(of)) // longest
-        arcs += -(-len(of) // longest)
+        edges = np.flatnonzero(np.diff(~held[of], prepend=False, append=False))
+        for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            arc[of[first:end]] = arcs + np.arange(end - first) // longest
+            arcs += -(-(end - first) // longest)
     return arc
 
 
@@ -86,16 +96,23 @@ def arc_cycles(arm: Arm) -> int:
     return round(arm.arc_max_s / arm.period_s)
 
 
-def spans(accepted: NDArray[np.bool_], longest: int) -> list[tuple[int, int, bool]]:
+def spans(
+    accepted: NDArray[np.bool_], longest: int, without: NDArray[np.bool_] | None = None
+) -> list[tuple[int, int, bool]]:
     """Origin and end of each arc of a segment, and whether it ended by itself: full, or at an instant that is refused,
     from an eighth of that on.
 
-    What the integrals get wrong in a snap is then a constant of the next arc.
+    What the integrals get wrong in a snap is then a constant of the next arc. without: as of `numbered`; such instants
+    lie between two arcs.
     """
+    held = np.zeros(len(accepted), np.bool_) if without is None else without
     ends: list[tuple[int, int, bool]] = []
     shortest = max(1, longest // 8)
     origin = FILL_INSTANTS
     while origin < len(accepted):
+        if held[origin]:
+            origin += 1
+            continue
         stop = origin + longest
         refused = np.flatnonzero(~accepted[origin + shortest - 1 : stop])
         if len(refused):

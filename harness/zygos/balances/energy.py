@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.arcs import FILL_INSTANTS, End, arc_cycles, left_out_arcs, spans, void_arcs
+from zygos.balances.arcs import FILL_INSTANTS, End, arc_cycles, left_out_arcs, spans, void_arcs, without_row
 from zygos.balances.effects import effect_columns
 from zygos.balances.kinematics import body_columns
 from zygos.balances.quadrature import step_integrals
@@ -118,7 +118,7 @@ def energy_rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequenc
     it ends where that cycle is not known.
     """
     h = arm.period_s
-    longest = arc_cycles(arm)
+    longest, without = arc_cycles(arm), without_row(arm, samples, smoothed, "energy")
     work = np.zeros(len(smoothed.index))
     dissipated = np.zeros_like(smoothed.q)
     arc = np.full(len(smoothed.index), -1, dtype=np.int64)
@@ -134,7 +134,7 @@ def energy_rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequenc
         done = step_work(arm, theta, tau)
         jumps = torque_jump_energy(arm, smoothed.thetad[of[1:]], tau[:-1], tau[1:])
         step_loss = step_integrals(g, h, axis=0)
-        for origin, stop, ended in spans(smoothed.accepted[of], longest):
+        for origin, stop, ended in spans(smoothed.accepted[of], longest, without[of]):
             work[of[origin + 1 : stop]] = np.cumsum(done[origin : stop - 1])
             work[of[origin:stop]] += jumps[origin - 1 : stop - 1]
             dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin : stop - 1], axis=0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
-from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
+from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused, without_row
 from zygos.balances.kinematics import Posture, body_rates, by_component, crossed, planar_columns, posture
 from zygos.balances.quadrature import step_integrals
 from zygos.balances.state import State
@@ -146,7 +146,7 @@ def turns(arm: Arm, samples: Samples, smoothed: Smoothed) -> Turns | None:
     if arm.momentum_arc_s == 0.0:
         return None
     longest = max(1, round(arm.momentum_arc_s / arm.period_s))
-    arc = numbered(smoothed, longest)
+    arc = numbered(smoothed, longest, without_row(arm, samples, smoothed, "momentum"))
     void = unused(arm, samples, smoothed, arc, longest, "momentum")
     every, turn = momentum_rows(arm, smoothed, arc), base_attitudes(arm, smoothed, arc)
     count = every.shape[1]

@@ -111,7 +111,8 @@ class Trace:
     row: NDArray[np.float64]
     """(n, p+1) the columns and the work. Undefined where `instant` is false."""
     waited: NDArray[np.bool_]
-    """(n,) whether the instant has no row because an arc that a gap ended waited for the one before it to close."""
+    """(n, 3) whether the instant has no row of that kind, in the order of `ROWS`, because an arc waited for the one
+    before it to close."""
 
     @classmethod
     def joined(cls, parts: Sequence[Trace]) -> Trace:
@@ -607,7 +608,7 @@ class Flight:
             "invalid": int(self.native.invalid),
             "wraps": int(self.native.wraps),
             "apart": int(self.native.apart),
-            "waited": int(self.native.waited),
+            "waited": sum(self.native.waited),
             "arcs_dropped": int(sums.arcs_dropped),
             "accepted": int(sums.accepted),
             "refused": int(sums.refused),
@@ -641,5 +642,6 @@ class _TraceTable:
         n = self.arm.n
         q, theta, tau, omega = np.split(used["measured"], [n, 2 * n, 3 * n], axis=1)
         cycles = Cycles(sync=used["sync"], q=q, theta=theta, tau=tau, omega=omega, flags=used["flags"])
-        instant, accepted, waited = (used[name] > 0 for name in ("instant", "accepted", "waited"))
+        instant, accepted = (used[name] > 0 for name in ("instant", "accepted"))
+        waited = (used["waited"][:, None] >> np.arange(len(ROWS)) & 1) > 0
         return Trace(cycles, instant, accepted, used["state"], used["row"], waited)

@@ -6,7 +6,7 @@ instead of accumulators, orthogonal least squares instead of normal equations), 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from zygos.arm import Arm
@@ -49,17 +49,17 @@ class ReferenceStages:
 
 
 def chain(
-    arm: Arm, cycles: Cycles, effects: Sequence[Effect] = (), waited: frozenset[int] = frozenset()
+    arm: Arm, cycles: Cycles, effects: Sequence[Effect] = (), waited: Mapping[str, frozenset[int]] | None = None
 ) -> ReferenceStages:
     """Apply all stages to a record, with a column for each of a model's effects that has one in the balance.
 
-    waited: positions of the cycles with which an instant was complete that the library made no row of, because an arc
-    waited for its end (`Trace.waited`): here arcs close at once.
+    waited: as of `Samples`: what the library made no row of, because an arc waited for its end (`Trace.waited`). Here
+    arcs close at once.
 
     Raises ZygosError for input that does not fit the arm, Undecided for a record that does not determine the
     parameters.
     """
-    samples = replace(calibrate(arm, cycles), waited=waited)
+    samples = replace(calibrate(arm, cycles), waited=waited or {})
     smoothed = smooth(arm, samples)
     raw = energy_rows(arm, samples, smoothed, effects)
     added = noise_of(arm, samples, smoothed, raw, effects)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances import impulse
-from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
+from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused, without_row
 from zygos.balances.momentum import Turns
 from zygos.effects import Effect, estimated
 from zygos.reference.accumulator import Design
@@ -50,7 +50,7 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     if arm.impulse_arc_s == 0.0:
         return ()
     longest = max(1, round(arm.impulse_arc_s / arm.period_s))
-    arc = numbered(smoothed, longest)
+    arc = numbered(smoothed, longest, without_row(arm, samples, smoothed, "motor"))
     _, first, which = np.unique(arc, return_index=True, return_inverse=True)
     position = np.arange(len(arc)) - first[which]
     void = unused(arm, samples, smoothed, arc, longest, "motor")

@@ -291,7 +291,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     because an arc waited for its end, since it closes arcs at once.
     """
     told = left_out(flight, ended)
-    waited = frozenset(np.flatnonzero(trace.waited).tolist())
+    waited = {kind: frozenset(np.flatnonzero(of).tolist()) for kind, of in zip(ROWS, trace.waited.T, strict=True)}
     samples = replace(calibrate(arm, trace.cycles), left_out=told, waited=waited)
     smoothed = smooth(arm, samples)
     if len(smoothed.index) == 0:

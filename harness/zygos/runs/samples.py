@@ -57,8 +57,8 @@ class Samples:
     the torque law needs a cycle that the segment does not have. omega: (n, 3) base rate in base axes [rad/s].
     segments: half-open ranges of positions in these arrays. voids, wraps: as in `Segments`.
     left_out: by kind of rows, the last cycles of the arcs that the library left out of its sums, so that the reference
-    leaves out the same arcs. waited: positions in these arrays of the cycles with which an instant was complete that
-    the library made no row of, because an arc waited for its end.
+    leaves out the same arcs. waited: by kind of rows, positions in these arrays of the cycles with which an instant was
+    complete that the library made no row of, because an arc waited for its end.
     """
 
     sync: NDArray[np.uint64]
@@ -70,7 +70,7 @@ class Samples:
     voids: tuple[tuple[int, int | None], ...]
     wraps: int
     left_out: Mapping[str, frozenset[int]] = field(default_factory=dict)
-    waited: frozenset[int] = frozenset()
+    waited: Mapping[str, frozenset[int]] = field(default_factory=dict)
 
 
 def usable(cycles: Cycles) -> NDArray[np.bool_]:

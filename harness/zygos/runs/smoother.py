@@ -153,9 +153,6 @@ def smooth(arm: Arm, samples: Samples) -> Smoothed:
         empty = np.zeros(0, dtype=np.int64)
         parts = [(empty, empty, none, none, none, none, np.zeros((0, 3)), np.zeros(0))]
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    if samples.waited:
-        kept = ~np.isin(columns[0] + half, sorted(samples.waited))
-        columns = [column[kept] for column in columns]
     index, segment_of, q, theta, qd, thetad, omega, bandwidth = columns
     return Smoothed(
         index=index,
