@@ -985,6 +985,12 @@ bool zygos_accumulator_busy(const zygos_accumulator_t *self)
     return zygos_accumulator_closing(self) || (self->task != (uint32_t)ZYGOS_TASK_NONE);
 }
 
+bool zygos_accumulator_has_work(const zygos_accumulator_t *self)
+{
+    const uint32_t unused = (uint32_t)ZYGOS_MAX_BLOCKS - self->count;
+    return zygos_accumulator_busy(self) || (unused < ZYGOS_SPARE_BLOCKS) || (unused > self->ready);
+}
+
 void zygos_accumulator_settle(zygos_accumulator_t *self)
 {
     const uint32_t most = 8u * ZYGOS_PASS_CYCLES * (uint32_t)ZYGOS_MAX_BLOCKS;

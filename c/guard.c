@@ -313,19 +313,11 @@ void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config
     }
 }
 
-void zygos_guard_close_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
-                              uint64_t cycle, uint32_t cycles)
-{
-    if (zygos_accumulator_closing(sums) && !zygos_accumulator_is_short(sums)) {
-        zygos_guard_settle_energy(self, config, sums);
-    }
-    (void)zygos_accumulator_close(sums, cycle, cycles);
-}
-
 void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
                             uint64_t cycle, uint32_t cycles)
 {
-    zygos_guard_close_energy(self, config, sums, cycle, cycles);
+    zygos_guard_settle_energy(self, config, sums);
+    (void)zygos_accumulator_close(sums, cycle, cycles);
     zygos_guard_settle_energy(self, config, sums);
 }
 
@@ -418,19 +410,11 @@ void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config
     }
 }
 
-void zygos_guard_close_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                              zygos_motor_sums_t *sums, uint64_t cycle)
-{
-    if (!zygos_motor_sums_is_short(sums)) {
-        zygos_guard_settle_motors(self, config, column_map, sums);
-    }
-    (void)zygos_motor_sums_close(sums, cycle);
-}
-
 void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                             zygos_motor_sums_t *sums, uint64_t cycle)
 {
-    zygos_guard_close_motors(self, config, column_map, sums, cycle);
+    zygos_guard_settle_motors(self, config, column_map, sums);
+    (void)zygos_motor_sums_close(sums, cycle);
     zygos_guard_settle_motors(self, config, column_map, sums);
 }
 
@@ -526,19 +510,11 @@ void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *conf
     }
 }
 
-void zygos_guard_close_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                                zygos_momentum_sums_t *sums, uint64_t cycle)
-{
-    if (!zygos_momentum_sums_is_short(sums)) {
-        zygos_guard_settle_momentum(self, config, column_map, sums);
-    }
-    (void)zygos_momentum_sums_close(sums, cycle);
-}
-
 void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                               zygos_momentum_sums_t *sums, uint64_t cycle)
 {
-    zygos_guard_close_momentum(self, config, column_map, sums, cycle);
+    zygos_guard_settle_momentum(self, config, column_map, sums);
+    (void)zygos_momentum_sums_close(sums, cycle);
     zygos_guard_settle_momentum(self, config, column_map, sums);
 }
 

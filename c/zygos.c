@@ -374,46 +374,40 @@ static bool fades(const zygos_t *self, double product)
     return (self->config.forgetting_factor < 1.0) && (product >= 0.0) && (product < 1.0);
 }
 
-/* Sums of closed arcs fade when an arc ends. What is being done to them is finished before, but not for an arc that is
-   too short to be of use: all fades with the next arc then. */
+/* Sums of closed arcs fade when an arc ends. Who is of use has waited until nothing is being done to them; where an arc
+   is too short, all fades with the next one. */
 static void end_arc(zygos_t *self, uint64_t cycle)
 {
-    const bool rests = zygos_accumulator_rests(&self->accumulator);
-    if (rests || !zygos_accumulator_is_short(&self->accumulator)) {
+    if (zygos_accumulator_rests(&self->accumulator)) {
         if (fades(self, self->forgetting)) {
-            if (!rests) {
-                zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
-            }
             zygos_accumulator_forget(&self->accumulator, self->forgetting);
         }
         self->forgetting = 1.0;
     }
-    zygos_guard_close_energy(&self->guard, &self->config, &self->accumulator, cycle, self->arc);
+    (void)zygos_accumulator_close(&self->accumulator, cycle, self->arc);
     self->arc = 0;
 }
 
 static void end_joint_arc(zygos_t *self, uint64_t cycle)
 {
-    if ((self->motor_sums.task == ZYGOS_MOTOR_NONE) || !zygos_motor_sums_is_short(&self->motor_sums)) {
+    if (self->motor_sums.task == ZYGOS_MOTOR_NONE) {
         if (fades(self, self->motors_forgetting)) {
-            zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
             zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
         }
         self->motors_forgetting = 1.0;
     }
-    zygos_guard_close_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums, cycle);
+    (void)zygos_motor_sums_close(&self->motor_sums, cycle);
 }
 
 static void end_momentum_arc(zygos_t *self, uint64_t cycle)
 {
-    if ((self->momentum_sums.task == ZYGOS_MOMENTUM_NONE) || !zygos_momentum_sums_is_short(&self->momentum_sums)) {
+    if (self->momentum_sums.task == ZYGOS_MOMENTUM_NONE) {
         if (fades(self, self->momentum_forgetting)) {
-            zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
             zygos_momentum_sums_forget(&self->momentum_sums, self->momentum_forgetting);
         }
         self->momentum_forgetting = 1.0;
     }
-    zygos_guard_close_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums, cycle);
+    (void)zygos_momentum_sums_close(&self->momentum_sums, cycle);
 }
 
 /* ---------------------------------------------------------------- ends of arcs
@@ -563,10 +557,15 @@ static void idle(zygos_t *self)
     }
 }
 
+static void settle_motors(zygos_t *self)
+{
+    zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
+}
+
 static void settle_sums(zygos_t *self)
 {
     zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
-    zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
+    settle_motors(self);
     zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
 }
 
@@ -632,7 +631,8 @@ static bool yields(const zygos_t *self, uint32_t kind)
 {
     const uint32_t turn = (uint32_t)(self->cycles & 3u);
     const bool momentum = is_waiting(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && (turn == 1u);
-    return ((turn & 1u) == 0) || (momentum && (kind == (uint32_t)ZYGOS_MOTOR_ROWS));
+    const bool energy = zygos_accumulator_has_work(&self->accumulator) && ((turn & 1u) == 0);
+    return energy || (momentum && (kind == (uint32_t)ZYGOS_MOTOR_ROWS));
 }
 
 /* The motor impulse rows of the newest instant, which have arcs of their own. busy: this cycle has done something that
@@ -1214,9 +1214,11 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
     if (joints) {
-        end_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS); /* the other sums, which may be corrupt, are cleared */
+        settle_motors(self); /* the other sums, which may be corrupt, are cleared */
+        end_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS);
+        settle_motors(self);
         end_joint_arc(self, self->cycle);
-        zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
+        settle_motors(self);
     }
     drop_all_waiting(self);
     if (!joints) {

@@ -191,6 +191,9 @@ void zygos_accumulator_judged_arc(zygos_accumulator_t *self, bool admitted);
 /// Returns whether there is a task, or an arc is closing.
 bool zygos_accumulator_busy(const zygos_accumulator_t *self);
 
+/// Returns whether zygos_accumulator_proceed() has something to do: also where blocks have to be merged or cleared.
+bool zygos_accumulator_has_work(const zygos_accumulator_t *self);
+
 /// Adds the next slice of what waits in full buffers to the blocks, as zygos_accumulator_add() does: for a cycle
 /// without a row. Cost: that number of entries / ZYGOS_BUFFER_ROWS, of two buffers at the most.
 void zygos_accumulator_share_slice(zygos_accumulator_t *self);

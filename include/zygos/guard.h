@@ -140,11 +140,6 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
 /// times ZYGOS_GUARD_MARGIN: the limit of a mean square of so many independent rows in units of its expectation.
 double zygos_guard_chi_square_limit(double freedom);
 
-/// Ends the open arc of the energy rows, which is closing from then on. cycle: its newest cycle. cycles: their number.
-/// Cost: a few instructions for each block; if the arc before it is still closing, also what is left of that.
-void zygos_guard_close_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
-                              uint64_t cycle, uint32_t cycles);
-
 /// Proceeds with the task of the accumulator: with the comparison of the closing arc, if it is its turn
 /// (ZYGOS_TASK_JUDGE). An arc that contradicts the running solution is left out. Cost: a part of a pass over a block;
 /// for the first block, also one over the running solution.
@@ -154,14 +149,10 @@ void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *confi
 void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums);
 
 /// The same of the motor and of the momentum rows. Where one proceeds, it returns whether there was a task.
-void zygos_guard_close_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                              zygos_motor_sums_t *sums, uint64_t cycle);
 bool zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                                 zygos_motor_sums_t *sums);
 void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                                zygos_motor_sums_t *sums);
-void zygos_guard_close_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                                zygos_momentum_sums_t *sums, uint64_t cycle);
 bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,
                                   const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums);
 void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *config,

@@ -132,10 +132,13 @@ def test_turns_miss_nothing() -> None:
 
 
 def test_blocks_merge_and_lose_nothing() -> None:
+    longest = 150  # no arc waits for the one before it to close
     arm = arm_of("planar", (True, True, False))
-    cycles = wandering(arm, 60 + 40 * LONGEST + 29)
+    arm = replace(arm, momentum_max_s=longest * arm.period_s)
+    cycles = wandering(arm, 60 + 40 * longest + 29)
     expected, owed = of_numpy(arm, cycles)
-    blocks, noise, (sums, _) = closed(arm, cycles)
+    blocks, noise, (sums, flight) = closed(arm, cycles)
+    assert list(flight.native.waited) == [0, 0, 0]
     capacity = len(sums.block)
     assert capacity == 16 < len(expected)
     assert 4 <= len(blocks) <= capacity
