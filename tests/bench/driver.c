@@ -103,14 +103,15 @@ static place_t step(uint32_t frames)
     const uint32_t of_motors = motor_task(&arm.motor_sums);
     const uint32_t of_momentum = momentum_task(&arm.momentum_sums);
     const uint32_t ending = arm.ending;
+    const bool has_work = zygos_accumulator_has_work(sums);
     (void)zygos_step(&arm);
     driver_mark();
     const bool turned =
         (sums->task != tasks[0]) || (arm.motor_sums.task != tasks[1]) || (arm.momentum_sums.task != tasks[2]);
     /* a cycle that does something else leaves the task where it is */
     const bool rests = (tasks[0] != ZYGOS_TASK_NONE) && (sums->task == tasks[0]) && (sums->row == energy_row);
-    const bool motors_rest = (tasks[1] != ZYGOS_MOTOR_NONE) && (of_motors == motor_task(&arm.motor_sums));
-    const bool momentum_rests = (tasks[2] != ZYGOS_MOMENTUM_NONE) && (of_momentum == momentum_task(&arm.momentum_sums));
+    /* a cycle that is for the tasks of the energy rows asks nothing of the others */
+    const uint32_t yields = (has_work && ((arm.cycles & 1u) == 0u)) ? 1u << 31u : 0u;
     const bool energy = (config->arc_cycles > 0);
     const bool instant = energy ? (arm.instant == 1) : (joints->accepted + joints->refused != instants);
     const uint32_t left = config->joint_row_cycles / 2u - arm.joint.position;
@@ -139,8 +140,8 @@ static place_t step(uint32_t frames)
         .row_moved =
             adding + (((adding == 1u) && (cursor + joints->slice >= zygos_gram_entries(joints->width))) ? 2u : 0u),
         .energy_task = of_energy | (first_link << 30u) | (rests ? 1u << 31u : 0u),
-        .motor_task = of_motors | (motors_rest ? 1u << 31u : 0u),
-        .momentum_task = of_momentum | (momentum_rests ? 1u << 31u : 0u),
+        .motor_task = of_motors | yields,
+        .momentum_task = of_momentum | yields,
     };
 }
 
