@@ -282,7 +282,8 @@ def check_telemetry(path: Path, parameters: list[tuple[str, str]], effects: int 
     rest = {signal.name for signal in message.signals} - seen
     assert rest == {
         *(f"fault_{name}" for name, _ in ffi.typeof("zygos_faults_t").fields),
-        *(f"count_{name}" for name in "cycles gaps invalid wraps accepted refused arcs arcs_dropped apart waited".split()),
+        *(f"count_{name}" for name in "cycles gaps invalid wraps accepted refused arcs arcs_dropped".split()),
+        *(f"count_{name}" for name in "apart waited".split()),
         *(f"node_{name}" for name in "overflow misshapen down unsent corrupt unsaved".split()),
         *(f"verdict_{name}" for name in "validity reason cycle accepted refused arcs blocks rank condition".split()),
         *(f"verdict_{name}" for name in "cluster residual noise_ratio gate left_out".split()),

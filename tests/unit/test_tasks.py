@@ -286,6 +286,7 @@ def test_rows_of_each_kind_wait_for_themselves(arm: Arm, motion: Cycles, lengths
     flight = Flight(short)
     flight.cycles(cycles)
     assert 0 < max(flight.native.waited) < 700
+    assert [room.name for room in check_cycles(short, cycles) if not room.equal] == []
 
 
 def test_short_arcs_of_other_rows_leave_time_to_those_of_the_energy(arm: Arm, motion: Cycles) -> None:
