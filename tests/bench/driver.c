@@ -66,16 +66,6 @@ static uint32_t energy_task(const zygos_accumulator_t *sums)
            (dirty << 12u) | ((sums->task != ZYGOS_TASK_NONE) ? sums->row : 0u);
 }
 
-static uint32_t motor_task(const zygos_motor_sums_t *sums)
-{
-    return (sums->task << 16u) | sums->joint;
-}
-
-static uint32_t momentum_task(const zygos_momentum_sums_t *sums)
-{
-    return (sums->task << 16u) | sums->row;
-}
-
 /* What counts instructions sees this call behind each cycle. */
 __attribute__((noinline)) void driver_mark(void)
 {
@@ -100,8 +90,8 @@ static place_t step(uint32_t frames)
     const uint32_t tasks[3] = { sums->task, arm.motor_sums.task, arm.momentum_sums.task };
     const uint32_t of_energy = energy_task(sums);
     const uint32_t energy_row = sums->row;
-    const uint32_t of_motors = motor_task(&arm.motor_sums);
-    const uint32_t of_momentum = momentum_task(&arm.momentum_sums);
+    const uint32_t of_motors = (arm.motor_sums.task << 16u) | arm.motor_sums.joint;
+    const uint32_t of_momentum = (arm.momentum_sums.task << 16u) | arm.momentum_sums.row;
     const uint32_t ending = arm.ending;
     const bool has_work = zygos_accumulator_has_work(sums);
     (void)zygos_step(&arm);

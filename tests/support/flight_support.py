@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from zygos.arm import Arm
-from zygos.native.flight import ROWS, Flight, Trace, ffi, lib
+from zygos.native.flight import Flight, Trace, ffi, lib
+from zygos.reference.compare import waited
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import usable
 
@@ -85,8 +86,7 @@ def traced(arm: Arm, cycles: Cycles) -> Trace:
 
 def waits(cycles: Cycles, trace: Trace) -> dict[str, frozenset[int]]:
     """Positions of the cycles at which an arc of each kind of rows waited, as numpy is told."""
-    used = np.flatnonzero(usable(cycles))
-    return {kind: frozenset(used[of].tolist()) for kind, of in zip(ROWS, trace.waited.T, strict=True)}
+    return waited(trace, np.flatnonzero(usable(cycles)))
 
 
 def arcs(arm: Arm, trace: Trace) -> list[tuple[int, int]]:

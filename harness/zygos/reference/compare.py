@@ -282,6 +282,11 @@ def left_out(flight: Flight, ended: Sequence[LeftOut]) -> dict[str, frozenset[in
     return out
 
 
+def waited(trace: Trace, at: NDArray[np.int64]) -> dict[str, frozenset[int]]:
+    """What `Samples.waited` is for a record in which the cycles of a trace have the positions at, (n,)."""
+    return {kind: frozenset(at[of].tolist()) for kind, of in zip(ROWS, trace.waited.T, strict=True)}
+
+
 def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut] = ()) -> list[Room]:
     """Compare the results of the stages after the receiver with numpy's on the same cycles.
 
@@ -291,8 +296,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     because an arc waited for its end, since it closes arcs at once.
     """
     told = left_out(flight, ended)
-    waited = {kind: frozenset(np.flatnonzero(of).tolist()) for kind, of in zip(ROWS, trace.waited.T, strict=True)}
-    samples = replace(calibrate(arm, trace.cycles), left_out=told, waited=waited)
+    samples = replace(calibrate(arm, trace.cycles), left_out=told, waited=waited(trace, np.arange(len(trace.cycles))))
     smoothed = smooth(arm, samples)
     if len(smoothed.index) == 0:
         return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
