@@ -2,15 +2,15 @@
 
     python -m soak [NAME ...] [--share SHARE | --full] [--json FILE]
 
-Writes out/soak.json, in which the results of other soaks stay, and docs/soak.md if the file has all soaks and none is
-shorter than by default. The exit code is 1 if something does not hold.
+Writes out/soak.json, in which the results of other soaks stay if they are of the same sources of the library, and
+docs/soak.md if the file has all soaks and none is shorter than by default. The exit code is 1 if a check fails.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from json import loads
+from json import JSONDecodeError, loads
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +19,7 @@ import typer
 from conftest import ROOT
 from soak.endurance import SOAKS, Outcome, fly
 from soak.page import page
+from verify.result import digest
 from zygos.errors import ZygosError
 from zygos.files.output import check_outputs, errors_end_the_program, say, table, write_json, write_text
 from zygos.files.progress import progress
@@ -41,6 +42,18 @@ def row(one: Outcome) -> tuple[str, ...]:
     )
 
 
+def others(file: Path) -> list[Outcome]:
+    """The results in the file, if they are of these sources. Errors: ZygosError for a file of another content."""
+    if not file.exists():
+        return []
+    try:
+        content = loads(file.read_text())
+        found = [Outcome.of_json(one) for one in content["soaks"]]
+    except (JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise ZygosError(f"{file}: no results of a soak; remedy: remove the file, or give --json another") from error
+    return found if content.get("sources") == digest() else []
+
+
 def soak(
     names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Default: all.")] = None,
     share: Annotated[
@@ -58,7 +71,7 @@ def soak(
     if unknown:
         raise ZygosError(f"there is no soak {unknown[0]!r}; remedy: use some of {', '.join(SOAKS)}")
     check_outputs([json], [])
-    before = [Outcome.of_json(one) for one in loads(json.read_text())["soaks"]] if json.exists() else []
+    before = others(json)
     chosen = [one for name, one in SOAKS.items() if not names or name in names]
     shares = {one.name: 1.0 if full else share or one.share for one in chosen}
     begin, found = time.monotonic(), []
@@ -76,7 +89,7 @@ def soak(
             )
     known = {one.name: one for one in (*before, *found)}
     every = [known[name] for name in SOAKS if name in known]
-    write_json(json, {"soaks": [one.as_json() for one in every]})
+    write_json(json, {"sources": digest(), "soaks": [one.as_json() for one in every]})
     if len(every) == len(SOAKS) and all(one.share >= SOAKS[one.name].share for one in every):
         write_text(DOCUMENT, page(every))
     head = ("soak", "cycles", "duration", "validity", "95 % intervals that hold", "counters", "took", "verdict")

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from soak.__main__ import main
+from soak.__main__ import main, others
 from soak.endurance import SOAKS, Outcome, fly
 from soak.page import page
+from verify.result import digest
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +60,24 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         main(["three"])
     assert ended.value.code == 2
     assert "there is no soak 'three'; remedy: use some of two, seven" in capsys.readouterr().err
+
+
+def test_results_of_other_sources_do_not_stay(seven_hours: Outcome, tmp_path: Path) -> None:
+    file = tmp_path / "soak.json"
+    assert others(file) == []
+    stored = {"sources": digest(), "soaks": [seven_hours.as_json()]}
+    file.write_text(json.dumps(stored))
+    assert others(file) == [seven_hours]
+    file.write_text(json.dumps(stored | {"sources": "of another library"}))
+    assert others(file) == []
+
+
+@pytest.mark.parametrize("content", ["{", '{"soaks": [{"name": "two"}]}', "[]", "{}"])
+def test_a_damaged_file_of_results_is_refused(content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "soak.json"
+    file.write_text(content)
+    with pytest.raises(SystemExit) as ended:
+        main(["two", "--json", str(file)])
+    assert ended.value.code == 2
+    assert "soak.json: no results of a soak; remedy: remove the file" in capsys.readouterr().err
+    assert file.read_text() == content
