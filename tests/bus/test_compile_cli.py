@@ -186,6 +186,7 @@ def test_memory_is_told_before_anything_is_flashed(tmp_path: Path, capsys: pytes
         found = _bytes_of(tmp_path, flags, struct)
         assert list(answer[listed].values()) == found
         assert f"// {line}: {' '.join(flags)}\n" in text
+        assert f"options of this build: {' '.join(flags)}\n" in said
         assert f"t takes {sum(found):,} bytes: configuration {found[0]:,}, state {found[1]:,}, {struct} " in text
         assert f"{sum(found):,}" in said
 

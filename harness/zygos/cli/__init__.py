@@ -130,8 +130,8 @@ def zygos(
     """Estimate the dynamics of a space arm with flexible joints from its CAN frames.
 
     There are three kinds of input file: **arm.toml** describes the hardware, **model.toml** an assumed dynamic model,
-    and **scenario.toml** a manoeuvre to simulate. A run is a CAN log (.log .blf .asc .trc .mf4), or, for estimate,
-    check, check-arm and view, a table of cycles (.npz .csv .parquet).
+    and **scenario.toml** a manoeuvre to simulate. A run is a CAN log (.log .blf .asc .trc .mf4), or, for all
+    commands that need no frames, a table of cycles (.npz .csv .parquet).
 
     The name - stands for standard input wherever a file is read, and for standard output wherever one file is written.
     The kind of log or table on standard input is recognised by its first bytes.

@@ -14,7 +14,7 @@ from zygos.files.output import check_outputs, counted, say, table, write_json, w
 from zygos.model.model import load_model
 from zygos.native import snapshot
 from zygos.native.flight import Flight, ffi, lib
-from zygos.native.header import capacities, header, in_place_build, in_place_memory, least_build, least_memory
+from zygos.native.header import capacities, header, in_place_build, in_place_memory, least_build, least_memory, options
 
 HEADER, BLOB = "arm_config.h", "arm.zyg"
 
@@ -32,6 +32,7 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
     write_text(source, header(flight, made_of))
     snapshot.write(blob, "configuration", ffi.addressof(flight.native, "config"))
     needs = capacities(flight.native.config)
+    build, smaller = least_build(flight.native.config), in_place_build(flight.native.config)
     bytes_of, in_place = least_memory(flight.native.config), in_place_memory(flight.native.config)
     summary = {
         "arm": arm.name,
@@ -45,20 +46,25 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
         "effects": columns,
         "omitted": omitted,
         "capacities": needs,
-        "least_build": least_build(flight.native.config),
+        "least_build": build,
         "bytes": bytes_of,
-        "in_place_build": in_place_build(flight.native.config),
+        "in_place_build": smaller,
         "in_place_bytes": in_place,
     }
     if json:
         write_json(json, summary)
     if json != "-":
-        rows = [(macro, str(value), str(getattr(lib, f"{macro}_VALUE"))) for macro, value in needs.items()]
+        # without a reduction the parameters are the columns, and the default holds them
+        needed = {macro: str(value) for macro, value in needs.items()}
+        needed |= {} if needs["ZYGOS_MAX_PARAMETERS"] else {"ZYGOS_MAX_PARAMETERS": "default"}
+        rows = [(macro, value, str(getattr(lib, f"{macro}_VALUE"))) for macro, value in needed.items()]
         table(("capacity", "needed", f"{BLOB} has"), rows)
         listed = [*bytes_of.items(), ("in all", sum(bytes_of.values()))]
         table(("memory of the smallest build", "bytes"), [(what, f"{size:,}") for what, size in listed])
+        say(f"options of this build: {options(build)}")
         listed = [*in_place.items(), ("in all", sum(in_place.values()))]
         table(("with the fewest blocks, solved in place", "bytes"), [(what, f"{size:,}") for what, size in listed])
+        say(f"options of this build: {options(smaller)}")
         say(
             f"{source}, {blob}: arm {arm.name}, {counted(arm.n, 'joint')}, "
             f"{counted(len(arm.parameters), 'base parameter')} of {len(arm.full_parameters)}, "

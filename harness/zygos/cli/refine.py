@@ -124,12 +124,12 @@ def command(
 ) -> None:
     """Refine the parameters of an arm up to what its frames tell at most.
 
-    The estimate of `zygos estimate` is the start of a filter that follows state and parameters through all readings,
-    with the equations of motion. Where the model is complete, its values are several to many times better, and about as
+    Beginning with the estimate of `zygos estimate`, states and parameters are solved from all readings at once, with
+    the equations of motion. Where the model is complete, its values are several to many times better, and about as
     good as `zygos bound` allows. Several runs give one estimate. Lost cycles are bridged, and over long gaps the state
     begins anew.
 
-    A filter cannot notice all that its model lacks. The model is therefore written only if all of this holds: the
+    Such a fit cannot notice all that its model lacks. The model is therefore written only if all of this holds: the
     estimate from energy rows is not doubtful and agrees; the innovations of all sensors are as small as expected,
     over the whole record and in twelve windows; the noise of the torques that the readings need is not above the
     torque_relative_sigma of arm.toml; and a delay of the torques, another gain of one joint, friction or an offset does

@@ -71,6 +71,11 @@ def in_place_memory(config: Any) -> dict[str, int]:
     return memory(in_place_build(config), in_place=True)
 
 
+def options(build: dict[str, int]) -> str:
+    """Capacities as options of a compiler."""
+    return " ".join(f"-D{macro}={value}" for macro, value in build.items())
+
+
 def _initialiser(value: Any, field: str) -> str:
     """A value of C as source: numbers exactly, with the name of an enumeration's."""
     if isinstance(value, float):
@@ -114,21 +119,17 @@ def header(flight: Flight, source: str) -> str:
     ]
     bytes_of = least_memory(config)
     in_place = in_place_memory(config)
-    build, in_place_flags = (
-        " ".join(f"-D{macro}={value}" for macro, value in one.items())
-        for one in (least_build(config), in_place_build(config))
-    )
     version = library.lib.ZYGOS_VERSION_MAJOR_VALUE, library.lib.ZYGOS_VERSION_MINOR_VALUE
     return "\n".join(
         [
             f"// Arm {printable(flight.arm.name)}, compiled from {source} by `zygos compile-model`. Do not edit.",
             "//",
-            f"// The smallest build that holds it: {build}",
+            f"// The smallest build that holds it: {options(least_build(config))}",
             f"// It takes {sum(bytes_of.values()):,} bytes: "
             + ", ".join(f"{what} {size:,}" for what, size in bytes_of.items())
             + ".",
             "//",
-            f"// With the fewest blocks: {in_place_flags}",
+            f"// With the fewest blocks: {options(in_place_build(config))}",
             f"// Solved in place (zygos_solve_in_place()), it takes {sum(in_place.values()):,} bytes: "
             + ", ".join(f"{what} {size:,}" for what, size in in_place.items())
             + ".",
