@@ -11,11 +11,12 @@ from zygos.files.output import counted
 INTRODUCTION = f"""\
 # Weeks of flight at an accelerated pace
 
-`make soak` writes this page and `out/soak.json`. The C library receives the CAN frames of a few stored motions, which
-are repeated, as fast as it takes them. The errors of all sensors are drawn anew in each repetition, and {MISSING}
-cycles are missing between two of them. A share of {LOST:g} of all frames is lost, SYNC and FTIME included. A share of
-{STALE:g} of the frames of drives and gyro has the content of the cycle before, as from a node that hangs for a cycle.
-At regular intervals the state is sealed into a snapshot, and another instance of the library resumes from it.
+`make soak` writes this page and `out/soak.json`; `make soak FULL=1` flies the whole duration of each soak. The C
+library receives the CAN frames of a few stored motions, which are repeated, as fast as it takes them. The errors of
+all sensors are drawn anew in each repetition, and {MISSING} cycles are missing between two of them. A share of
+{LOST:g} of all frames is lost, SYNC and FTIME included. A share of {STALE:g} of the frames of drives and gyro has the
+content of the cycle before, as from a node that hangs for a cycle. At regular intervals the state is sealed into a
+snapshot, and another instance of the library resumes from it.
 
 Three conditions are checked; the command exits with 1 if one does not hold.
 
@@ -71,8 +72,8 @@ def page(found: Sequence[Outcome]) -> str:
             f"## {one.name}",
             "",
             f"The run took {one.seconds:,.0f} s on a shared machine, {one.library_s:,.0f} s of them in the library: it "
-            f"was {pace:,.0f} times as fast as the arm. The library counted "
-            + ", ".join(f"{name} {count:,}" for name, count in one.found.items())
+            f"was {pace:,.0f} times as fast as the arm. Counters of the library that are not zero: "
+            + ", ".join(f"`{name}` {count:,}" for name, count in one.found.items())
             + ".",
             "",
         ]
