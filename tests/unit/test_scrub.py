@@ -287,6 +287,15 @@ def test_a_block_that_does_not_match_is_dropped_and_no_other(
     assert (np.abs(there.value - before.value) < 3.0 * before.sigma).all()
 
 
+def test_a_block_shares_no_instants_with_one_that_was_dropped(flight: Flight, pristine: Any) -> None:
+    sums = flight.native.accumulator
+    before = sums.block[sums.order[1]]
+    assert before.overlap > 0.0
+    _energy(flight.native)
+    assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
+    assert before.overlap == 0.0
+
+
 IMPOSSIBLE = (
     ("accumulator", "width", 13), ("accumulator", "count", 65), ("accumulator", "open", 60),
     ("accumulator", "newest", 60), ("accumulator", "window", 60), ("accumulator", "target", 0.5),
@@ -397,6 +406,7 @@ def test_an_open_arc_of_energy_rows_with_impossible_numbers_is_dropped(
     assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
     assert sums.count == sums.open == flown.native.accumulator.open
     assert flight.native.quarantined == 1
+    assert {(buffer.places, buffer.instants) for buffer in sums.buffer} == {(0, 0.0)}
     assert lib.zygos_scrub(flight.native, pristine) == 0
 
 
@@ -504,12 +514,14 @@ def test_the_magic_number_is_repaired_where_one_bit_is_wrong(flight: Flight, pri
     assert lib.zygos_scrub(ffi.new("zygos_t *"), pristine) == lib.ZYGOS_E_ORDER
 
 
+@pytest.mark.parametrize("bit", [40, 62])
 @pytest.mark.parametrize(("member", "index"), [("angle", 0), ("omega", 0), ("omega", 2)])
 def test_a_sample_that_changed_in_the_window_stops_the_cycles(
-    flight: Flight, motion: Cycles, pristine: Any, member: str, index: int
+    flight: Flight, motion: Cycles, pristine: Any, member: str, index: int, bit: int
 ) -> None:
+    """Also where it changes by little."""
     assert flight.native.smoother.filled == flight.native.smoother.window
-    flip(flight.native.smoother.sample[1], member, 62, index)
+    flip(flight.native.smoother.sample[1], member, bit, index)
     rng = np.random.default_rng(1)
     flight.cycles(part(again(flight.arm, motion, int(flight.native.cycle) + 1, rng), 0, 60))
     assert lib.zygos_scrub(flight.native, pristine) & TABLES
@@ -695,6 +707,24 @@ def test_what_is_not_steady_is_neither_stepped_nor_adopted(
     assert lib.zygos_scrub(flight.native, pristine) & PLACES
 
 
+@pytest.mark.parametrize(("member", "most"), [("joint", 6), ("place", 31), ("count", 32)])
+def test_places_of_motor_rows_have_bounds(flight: Flight, member: str, most: int) -> None:
+    sums = flight.native.motor_sums
+    setattr(sums, member, most)
+    assert lib.zygos_motor_sums_steady(ffi.addressof(sums))
+    setattr(sums, member, most + 1)
+    assert not lib.zygos_motor_sums_steady(ffi.addressof(sums))
+
+
+@pytest.mark.parametrize(("struct", "member", "bit"), [("joint", "halves", 9), ("joint_sums", "filling", 9)])
+def test_no_cycle_is_processed_with_an_impossible_place_of_joint_rows(
+    grounded: Flight, ground: tuple[Flight, Cycles], struct: str, member: str, bit: int
+) -> None:
+    flip(getattr(grounded.native, struct), member, bit)
+    assert lib.zygos_cycle(grounded.native, ffi.new("zygos_cycle_t *")) == lib.ZYGOS_E_STATE
+    assert lib.zygos_scrub(grounded.native, ffi.new("zygos_config_t *", ground[0].native.config)) & PLACES
+
+
 def _group(native: Any) -> None:
     flip(native.joint_sums.group[1].rows, "gram", 53, 4)
 
@@ -720,6 +750,16 @@ def test_a_group_or_a_segment_of_joint_rows_that_does_not_match_is_dropped(
     there, before = grounded.estimate(), flown.estimate()
     assert there.validity == before.validity == "valid"
     assert (np.abs(there.value - before.value) < 3.0 * there.half95).all()
+
+
+@pytest.mark.parametrize("member", ["count", "fade"])
+def test_the_weight_of_each_group_is_under_the_checksum(member: str, grounded: Flight) -> None:
+    for number in range(lib.ZYGOS_JOINT_GROUPS_VALUE + 1):  # the last one holds segments that are set aside
+        group = grounded.native.joint_sums.group[number]
+        flip(group, member, 40)
+        assert "corrupt" in grounded.estimate().reason
+        flip(group, member, 40)
+        assert grounded.estimate().validity == "valid"
 
 
 @pytest.mark.parametrize("member", ["noise", "apart"])

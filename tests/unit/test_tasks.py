@@ -204,6 +204,7 @@ def test_arcs_that_are_dropped_amid_tasks_leave_the_sums_whole(arm: Arm, motion:
         for cycles in pieces(flight.arm, motion, rng, voids=True):
             flight.cycles(cycles)
             assert intact(flight), seed
+            assert sorted(flight.native.accumulator.order) == [*range(lib.ZYGOS_MAX_BLOCKS_VALUE)], seed
 
 
 def until_an_arc_waits(flight: Flight, motion: Cycles, forgetting: float = 1.0) -> int:
