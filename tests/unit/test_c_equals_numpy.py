@@ -187,35 +187,70 @@ def overlapping(both: Both) -> tuple[Floats, Floats]:
     return np.array(weights), np.array(noise)
 
 
-@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.arc_s == 60.0])
-def test_sigmas_from_the_same_blocks(name: str) -> None:
-    """Where no blocks have merged: the scatter of overlapping blocks, and what undeclared noise may hide."""
-    both = both_of(name, UNMERGED)
-    design, solution, estimate = both.chain.design, both.chain.solution, both.flight.estimate()
+@dataclass(frozen=True)
+class Scatter:
+    """What numpy finds of the errors of a solution."""
+
+    covariance: Floats
+    """(p, p) by the scatter of overlapping blocks."""
+    sigma: Floats
+    """(p,) with what undeclared noise may hide."""
+    freedom: Floats
+    weights: Floats
+    left: Floats
+    """(m,) what the rows leave over."""
+
+
+def scatter_of(both: Both) -> Scatter:
+    """Where no blocks have merged."""
+    design, solution = both.chain.design, both.chain.solution
     weights, noise = overlapping(both)
-    assert estimate.blocks == len(weights) > 8
     np.testing.assert_allclose(weights.sum(axis=0), 1.0, rtol=1e-12)
     np.testing.assert_allclose(noise.sum(axis=0), design.noise, rtol=1e-9, atol=1e-12 * np.abs(design.noise).max())
     told = scatter(design.z, design.w, weights, noise)
     stays = that_stays(Rows(design.z, design.w, design.noise), solution, arc_cycles(both.arm))
-    assert estimate.cluster < 1.0  # nothing adds up within blocks
     covariance = (1.0 + stays) * told.covariance
     left = design.w - design.z @ solution.x
     a, b = design.normal()
     excess = max(0.0, left @ left - explained(design.noise, solution.x)) / (solution.x**2 @ np.diag(a))
     hidden = np.linalg.solve(a + excess * np.diag(np.sum(design.z**2, axis=0)), b) - np.linalg.solve(a, b)
-    sigma = np.sqrt(np.diag(covariance) + hidden**2)
+    return Scatter(covariance, np.sqrt(np.diag(covariance) + hidden**2), told.freedom, weights, left)
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.arc_s == 60.0])
+def test_sigmas_from_the_same_blocks(name: str) -> None:
+    both = both_of(name, UNMERGED)
+    estimate, told = both.flight.estimate(), scatter_of(both)
+    sigma = told.sigma
+    assert estimate.blocks == len(told.weights) > 8
+    assert estimate.cluster < 1.0  # nothing adds up within blocks
     np.testing.assert_allclose(estimate.sigma, sigma, rtol=1e-6)
     np.testing.assert_allclose(estimate.half95 / estimate.sigma, student.ppf(0.975, told.freedom), rtol=0.02)
     np.testing.assert_allclose(np.sqrt(np.diag(estimate.covariance)), estimate.sigma, rtol=1e-14)
     np.testing.assert_allclose(
         estimate.covariance - np.diag(estimate.sigma**2),
-        covariance - np.diag(np.diag(covariance)),
+        told.covariance - np.diag(np.diag(told.covariance)),
         atol=1e-6 * np.abs(np.outer(sigma, sigma)).max(),
         rtol=0,
     )
-    cluster = np.mean((weights @ left) ** 2 / np.sum(weights**2, axis=1)) / estimate.residual**2
+    cluster = np.mean((told.weights @ told.left) ** 2 / np.sum(told.weights**2, axis=1)) / estimate.residual**2
     assert estimate.cluster == pytest.approx(cluster, rel=1e-5)
+
+
+@pytest.mark.parametrize(("name", "last"), [("over the end", 500), ("turned back", 500)])
+def test_the_error_of_an_imprecise_value_is_also_in_the_others(name: str, last: int) -> None:
+    """Every column is in the solution; what moves where the imprecise ones are left out widens the other intervals."""
+    both = both_of(name, last)
+    estimate, told, x = both.flight.estimate(), scatter_of(both), both.chain.solution.x
+    precise = told.sigma < 0.25 * np.abs(x)  # ZYGOS_SIGMA_LIMIT
+    kept = np.isfinite(estimate.value)
+    assert estimate.validity == "partial" and estimate.rank == len(x) > precise.sum() > kept.sum()
+    a, b = both.chain.design.normal()
+    without = np.zeros(len(x))
+    without[precise] = np.linalg.solve(a[np.ix_(precise, precise)], b[precise])
+    shift = (without - x)[kept]
+    assert (np.abs(shift) > told.sigma[kept]).any()
+    np.testing.assert_allclose(estimate.sigma[kept], np.hypot(told.sigma[kept], shift), rtol=1e-6)
 
 
 def test_a_sigma_that_is_too_small_is_not_equal(monkeypatch: pytest.MonkeyPatch) -> None:

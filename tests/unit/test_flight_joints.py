@@ -400,6 +400,8 @@ def test_which_reductions_are_refused() -> None:
     unit = np.eye(len(free.full_parameters))
     assert reduced(free, np.delete(unit, 5, axis=1)) == 1
     assert reduced(free, unit[:, ::-1]) == reduced(free, 0.5 * unit) == lib.ZYGOS_E_REDUCTION
+    largest, _ = random_arm(1, 7, "free", "spatial", True)
+    assert reduced(largest, np.eye(len(largest.full_parameters))) == 1
     config = config_of(fixed)
     config.reductions = 1
     assert lib.zygos_init(ffi.new("zygos_t *"), config) == lib.ZYGOS_E_REDUCTION

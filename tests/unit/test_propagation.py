@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
+from zygos.native.flight import ffi, lib
 from zygos.native.propagation import Propagation
 from zygos.refinement.motion import FlexibleMotion
 
@@ -91,3 +92,13 @@ def test_an_arm_of_known_lengths_has_the_columns_of_its_independent_parameters()
     found, slopes = Propagation(known, 1).step(values, x, tau)
     np.testing.assert_allclose(found, after, rtol=0, atol=1e-11)
     assert np.all(np.abs(slopes - slope).max(axis=0) <= 1e-8 * np.abs(slope).max(axis=0))
+
+
+@pytest.mark.parametrize("cycles", [1, 2, 20])
+def test_means_over_the_ends_of_cycles(cycles: int) -> None:
+    """Of each term of the series, for a torque that is held."""
+    means = ffi.new("zygos_propagation_means_t *")
+    lib.zygos_propagation_means(means, cycles)
+    ends = np.arange(1, cycles + 1) / cycles
+    expected = [np.mean(ends**m) for m in range(len(means.share))]
+    np.testing.assert_allclose([terms[0] for terms in means.share], expected, rtol=1e-13)

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from arm_support import arm_of_known_lengths
+from arm_support import arm_of_known_lengths, random_arm
 from numpy.typing import NDArray
 from refine_support import Case, drawing, noisy, plant, reported
 from scipy.linalg import expm
@@ -474,6 +474,27 @@ def test_values_of_a_model_stand_in_for_what_the_estimate_leaves_open() -> None:
     assert start(values) == 1
     native.validity = lib.ZYGOS_REFUSED
     assert start(values) == lib.ZYGOS_E_VALUE
+
+
+def test_no_parameter_begins_with_a_deviation_above_a_percent_of_its_size() -> None:
+    case = Case()
+    flight, _ = learned(case.arm, flown(case, 0))
+    flight.estimate()
+    for k in range(12):
+        flight._estimate.covariance[k * (k + 3) // 2] *= 1e8
+    task = OnboardRefiner(case.arm)
+    assert lib.zygos_refine_start(task.native, task._config, flight._estimate, ffi.NULL) == 1
+    assert (task.estimate[1] < 0.0101 * sizes_of(task)).all()
+
+
+def test_a_single_joint_in_a_plane_begins_with_the_rate_of_its_gyro() -> None:
+    arm, model = random_arm(0, 1, "free", "planar", True)
+    task, count = begun_with(arm, np.array(model.base_values(arm))), 100
+    turning = np.tile(0.3 * np.array(arm.joints[0].axis), (count, 1))
+    zero = np.zeros((count, 1))
+    task.cycles(Cycles(np.arange(count, dtype=np.uint64), zero, zero, zero, turning, np.zeros(count, dtype=np.uint32)))
+    assert task.native.moving == 1
+    assert task.native.filter.x[0] == pytest.approx(0.3, rel=0.05)
 
 
 def test_torques_without_a_declared_noise_have_the_steps_of_their_frames() -> None:
