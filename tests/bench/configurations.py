@@ -60,12 +60,13 @@ def _joint_rows(arm: Arm) -> Arm:
 
 def _ground(energy: bool) -> Configuration:
     """A UR10e's geometry at 250 Hz: rigid joints, known lengths, and an offset and friction of each motor."""
-    arm, model = laboratory_arm("UR10e", period_s=0.004)
+    arm, model = laboratory_arm("UR10e", period_s=GROUND_PERIOD_S)
     offsets = tuple(Effect(CATALOGUE["torque_offset"], joint.name, 0.0) for joint in arm.joints)
     capacities = tuple(f"-DZYGOS_{one}" for one in _GROUND.split())
     return Configuration("", replace(arm, smoother=Smoother(21, 4, 10)), capacities, (*model.effects, *offsets), energy)
 
 
+GROUND_PERIOD_S = 0.004
 BARE, JOINT_ROWS = ", bare", ", joint rows"
 _GROUND = "MAX_JOINTS=6 MAX_PARAMETERS=58 MAX_BLOCKS=12 MOMENTUM=0"
 _PAPER, _SPATIAL, _SEVEN = (

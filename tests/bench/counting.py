@@ -83,6 +83,8 @@ class Count:
     """(n, len(PLACES)) all on which the cost of a cycle may depend beside its data."""
     rank: int
     """Of the solution."""
+    validity: int
+    """Of the solution, `enum zygos_validity`."""
 
     def stage(self, name: str) -> NDArray[np.int64]:
         """(n,) instructions of a stage in each cycle."""
@@ -98,19 +100,19 @@ class Count:
         return np.asarray(self.kinds == KINDS.index("cycle"), dtype=np.bool_)
 
 
-def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int]:
-    """What bench/driver.c wrote: sizes, (n, 16) a kind and a place for each cycle, and the rank."""
+def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int, int]:
+    """What bench/driver.c wrote: sizes, (n, 16) a kind and a place for each cycle, and rank and validity."""
     words = np.fromfile(path, dtype="<u4").astype(np.int64)
-    body, rank = words[len(SIZES) : -1].reshape(-1, 1 + len(PLACES)), int(words[-1])
-    return dict(zip(SIZES, words[: len(SIZES)].tolist(), strict=True)), body, rank
+    body, rank, validity = words[len(SIZES) : -2].reshape(-1, 1 + len(PLACES)), int(words[-2]), int(words[-1])
+    return dict(zip(SIZES, words[: len(SIZES)].tolist(), strict=True)), body, rank, validity
 
 
 def joined(tally: Tally, folder: Path, tool: str) -> Count:
     """A tally and the driver's places. Errors: ZygosError when they are not of as many cycles."""
-    sizes, places, rank = read_places(folder / "places.bin")
+    sizes, places, rank, validity = read_places(folder / "places.bin")
     if len(places) != len(tally.stages):
         raise ZygosError(f"{tool} told {len(tally.stages)} cycles of {len(places)}; remedy: another version of {tool}")
-    return Count(tally, sizes, places[:, 0], places[:, 1:], rank)
+    return Count(tally, sizes, places[:, 0], places[:, 1:], rank, validity)
 
 
 def _spread(counted: NDArray[np.int64], places: NDArray[np.int64]) -> int:

@@ -1,7 +1,8 @@
 /* Feeds recorded frames to the library and says of each cycle what it was, for a tool that counts its instructions.
    Reads run.bin: three uint32 (size of a configuration, size of a frame, number of frames), the configuration and the
-   frames as they lie in memory. Writes places.bin: the sizes below, then a record for each cycle, all of uint32. At the
-   end the estimate is solved once. */
+   frames as they lie in memory. Writes places.bin: the sizes below, then a record for each cycle, all of uint32, then
+   rank and validity of a solution. What is solved is the state in state.bin, zygos_t as it lies in memory; where there
+   is none, it is the state behind the frames, which is stored there. */
 
 #include "semihosting.h"
 #include "zygos/gram.h"
@@ -177,8 +178,19 @@ int main(void)
             frames = 0;
         }
     }
+    const int32_t flown = semihosting_open("state.bin", SEMIHOSTING_READ);
+    if (flown >= 0) {
+        if (semihosting_read(flown, &arm, sizeof arm) != sizeof arm) {
+            return refuse("state.bin was written with other capacities");
+        }
+    } else {
+        const int32_t state = semihosting_open("state.bin", SEMIHOSTING_WRITE);
+        written = written && (state >= 0) && (semihosting_write(state, &arm, sizeof arm) == sizeof arm) &&
+                  (semihosting_close(state) == 0);
+    }
     zygos_take(&arm, &work);
     (void)zygos_solve(&work, &estimate);
-    written = (semihosting_write(places, &estimate.rank, sizeof estimate.rank) == sizeof estimate.rank) && written;
-    return (written && (semihosting_close(places) == 0)) ? 0 : refuse("places.bin cannot be written");
+    const uint32_t found[2] = { estimate.rank, estimate.validity };
+    written = (semihosting_write(places, found, sizeof found) == sizeof found) && written;
+    return (written && (semihosting_close(places) == 0)) ? 0 : refuse("places.bin or state.bin cannot be written");
 }

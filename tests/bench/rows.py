@@ -8,6 +8,7 @@ from typing import Any
 from bench import callgrind, cortex
 from bench.configurations import CONFIGURATIONS, JOINT_ROWS, random_cycles, write_run
 from bench.counting import STAGES, TOGETHER, Count, spread_by_data
+from bench.flown import full, write_state
 from bench.footprint import LIBRARY, footprints
 from bench.profile import profile
 
@@ -24,12 +25,13 @@ def measure(target: str, name: str) -> tuple[list[dict[str, Any]], dict[str, flo
     """The rows of a configuration on a target, and its profile."""
     folder, one = FOLDER / target / name.replace(", ", "-"), CONFIGURATIONS[name]()
     write_run(one, random_cycles(one.arm, inputs(target, name)), folder / "run.bin")
+    write_state(one, folder)
     if target == "x86-64":
         callgrind.build(folder, one.capacities)
-        count = callgrind.count(folder)
+        count = full(callgrind.count(folder))
     else:
         cortex.build(target, folder, one.capacities)
-        count = cortex.count(target, folder)
+        count = full(cortex.count(target, folder))
     bytes_of = footprints(target, folder / "objects", one.capacities)
     rows = []
     for stage in (*STAGES, TOGETHER, LIBRARY):
