@@ -24,7 +24,7 @@ from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
-DURATION_S = {"paper": 120.0, "spatial": 30.0, "seven": 30.0}
+DURATION_S = {"paper": 120.0, "spatial": 30.0, "seven": 60.0}
 """Of the example's motion, so that blocks have merged and no parameter is left out."""
 GROUND_S = 60.0
 _KNOWN: dict[str, Cycles] = {}
