@@ -15,6 +15,7 @@ import pytest
 from bench import callgrind, cortex, tables
 from bench.configurations import CONFIGURATIONS, Configuration, random_cycles, with_effects, write_run
 from bench.counting import PLACES, RELEVANT, TOGETHER, Count, spread_by_data
+from bench.flown import full, write_state
 from bench.footprint import footprints
 from bench.profile import profile
 from bench.rows import TARGETS
@@ -52,6 +53,17 @@ def measured(target: str, one: Configuration, inputs: int, folder: Path) -> Coun
         return callgrind.count(folder)
     cortex.build(target, folder, one.capacities)
     return cortex.count(target, folder)
+
+
+@pytest.mark.slow
+def test_the_solution_that_is_counted_has_every_parameter(tmp_path: Path) -> None:
+    """That of the random cycles is refused, which costs less."""
+    one = CONFIGURATIONS["paper, bare"]()
+    with pytest.raises(ZygosError, match="rank 12 of 12, validity 0; remedy: a longer motion"):
+        full(measured("x86-64", one, 800, tmp_path))
+    refused = measured("x86-64", one, 50, tmp_path).tally.solve
+    write_state(one, tmp_path)
+    assert full(measured("x86-64", one, 50, tmp_path)).tally.solve > 1.5 * refused
 
 
 @pytest.mark.slow
