@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from arm_support import random_arm
+from arm_support import arm_of_known_lengths, random_arm
 from flight_support import part
 from motion_support import FLEXIBLE, laboratory, random_ground, sines
 from numpy.typing import NDArray
@@ -379,6 +379,14 @@ def reduced(arm: Arm, matrix: Floats) -> int:
     for entry, column, parameter in zip(config.reduction, columns.tolist(), parameters.tolist(), strict=False):
         entry.column, entry.parameter, entry.factor = column, parameter, matrix[column, parameter]
     return int(lib.zygos_init(ffi.new("zygos_t *"), config))
+
+
+def test_effects_have_their_places_behind_the_independent_parameters() -> None:
+    arm, values = arm_of_known_lengths()
+    flight = Flight(arm, (effect("motor_coulomb", "joint1"), effect("cubic_stiffness", "joint2")))
+    places = flight.native.column_map
+    assert places.reduced == len(values) < places.effects
+    assert list(places.place)[places.effects : places.effects + 2] == [len(values), len(values) + 1]
 
 
 def test_which_reductions_are_refused() -> None:

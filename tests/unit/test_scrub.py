@@ -247,6 +247,17 @@ def test_what_tells_which_blocks_there_are_is_flipped_back(
     assert bytes_of(ffi.addressof(flight.native, "accumulator")) == bytes_of(ffi.addressof(flown.native, "accumulator"))
 
 
+@pytest.mark.parametrize("kind", ["motor_sums", "momentum_sums"])
+@pytest.mark.parametrize("member", ["count", "target"])
+def test_what_tells_which_blocks_of_other_rows_there_are_is_flipped_back(
+    flight: Flight, flown: Flight, pristine: Any, kind: str, member: str
+) -> None:
+    for bit in (0, 2, 30):
+        flip(getattr(flight.native, kind), member, bit)
+        lib.zygos_scrub(flight.native, pristine)
+        assert bytes_of(ffi.addressof(flight.native, kind)) == bytes_of(ffi.addressof(flown.native, kind))
+
+
 def closed_block(native: Any) -> Any:
     """The third block of the energy rows."""
     return native.accumulator.block[native.accumulator.order[2]]
