@@ -147,11 +147,11 @@ pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and
 gap: build $(VENV)/.test ## hide effects in MuJoCo plants, explain them, score the verdicts (docs/gap.md, out/gap.json; 90 minutes, resumes; CELLS= DRAWS= FROM=)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.trials $(CELLS) $(if $(DRAWS),draws=$(DRAWS)) $(if $(FROM),from=$(FROM))
 
-bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
+bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 20 minutes)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m bench out/bench.json
 
 VERIFY = OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m verify
-verify: build $(VENV)/.test ## evidence for the C library (docs/verification.md; 90 minutes; STEPS="gcc coverage" MUTANTS=400 SEED=0 MINUTES=30 COUNTERS=.)
+verify: build $(VENV)/.test ## evidence for the C library (docs/verification.md; 3 hours; STEPS="gcc coverage" MUTANTS=400 SEED=0 MINUTES=30 COUNTERS=.)
 	$(VERIFY) $(STEPS) $(if $(MUTANTS),mutants=$(MUTANTS)) $(if $(SEED),seed=$(SEED)) $(if $(MINUTES),minutes=$(MINUTES)) $(if $(COUNTERS),counters=$(COUNTERS))
 
 limits: build $(VENV)/.test ## make the measured stack, sizes and instructions the limits of `make verify` (tests/verify/limits.json)
@@ -166,7 +166,7 @@ mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fres
 soak: build $(VENV)/.test ## 30 days of 2 joints, 3.6 hours of 7: estimates, intervals, counters (out/soak.json, docs/soak.md; 10 minutes; NAMES= FULL=1)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m soak $(NAMES) $(if $(FULL),--full)
 
-upset: build $(VENV)/.test ## flip bits in the state of the library, count what comes of it (out/upset.json, docs/upset.md; SHARE= SEED=)
+upset: build $(VENV)/.test ## flip bits in the state of the library, count what comes of it (out/upset.json, docs/upset.md; 25 minutes; SHARE= SEED=)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m upset $(if $(SHARE),share=$(SHARE)) $(if $(SEED),seed=$(SEED))
 
 ground: build $(VENV)/.test ## simulated laboratory arms: do the intervals hold (docs/ground.md; 40 minutes; ARMS= DRAWS=)
