@@ -162,7 +162,7 @@ def test_the_spread_is_that_of_cycles_at_the_same_place() -> None:
     kinds = np.full(n, 3)
 
     def spread(stage: str) -> int:
-        return spread_by_data(Count(Tally(stages, {}, 0), {}, kinds, places, 0), stage)
+        return spread_by_data(Count(Tally(stages, {}, 0), {}, kinds, places, 0, 0), stage)
 
     assert {stage: spread(stage) for stage in ("smoother", "accumulator", "step")} == {
         "smoother": 0, "accumulator": 0, "step": 0,
