@@ -2,7 +2,7 @@
    Reads run.bin: three uint32 (size of a configuration, size of a frame, number of frames), the configuration and the
    frames as they lie in memory. Writes places.bin: the sizes below, then a record for each cycle, all of uint32, then
    rank and validity of a solution. What is solved is the state in state.bin, zygos_t as it lies in memory; where there
-   is none, it is the state behind the frames, which is stored there. */
+   is none, it is the state behind the frames, which is stored in end.bin. */
 
 #include "semihosting.h"
 #include "zygos/gram.h"
@@ -184,13 +184,13 @@ int main(void)
             return refuse("state.bin was written with other capacities");
         }
     } else {
-        const int32_t state = semihosting_open("state.bin", SEMIHOSTING_WRITE);
-        written = written && (state >= 0) && (semihosting_write(state, &arm, sizeof arm) == sizeof arm) &&
-                  (semihosting_close(state) == 0);
+        const int32_t end = semihosting_open("end.bin", SEMIHOSTING_WRITE);
+        written = written && (end >= 0) && (semihosting_write(end, &arm, sizeof arm) == sizeof arm) &&
+                  (semihosting_close(end) == 0);
     }
     zygos_take(&arm, &work);
     (void)zygos_solve(&work, &estimate);
     const uint32_t found[2] = { estimate.rank, estimate.validity };
     written = (semihosting_write(places, found, sizeof found) == sizeof found) && written;
-    return (written && (semihosting_close(places) == 0)) ? 0 : refuse("places.bin or state.bin cannot be written");
+    return (written && (semihosting_close(places) == 0)) ? 0 : refuse("places.bin or end.bin cannot be written");
 }

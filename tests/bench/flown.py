@@ -13,8 +13,8 @@ from pathlib import Path
 from ground_support import seen, torque_of
 from laboratory_support import laboratory_arm
 
-from bench import callgrind
-from bench.configurations import GROUND_PERIOD_S, Configuration, write_run
+from bench import callgrind, cortex
+from bench.configurations import GROUND_PERIOD_S, Configuration, random_cycles, write_run
 from bench.counting import Count
 from conftest import ROOT
 from zygos.errors import ZygosError
@@ -53,15 +53,25 @@ def motion(one: Configuration) -> Cycles:
     return _KNOWN[one.example]
 
 
-def write_state(one: Configuration, folder: Path) -> None:
-    """Fly the motion here, in the build that the configuration has on every target, and write folder/state.bin."""
-    place = folder / "flown"
+def write_state(one: Configuration, program: Path) -> None:
+    """Fly the motion here, in the driver for this machine, and write state.bin beside it. zygos_t is the same on every
+    target."""
+    place = program.parent / "flown"
     write_run(one, motion(one), place / "run.bin")
-    (place / "state.bin").unlink(missing_ok=True)
-    program = callgrind.build(place, one.capacities)
     subprocess.run([program.resolve()], cwd=place, check=True)
-    (place / "state.bin").replace(folder / "state.bin")
+    (place / "end.bin").replace(program.with_name("state.bin"))
     shutil.rmtree(place)
+
+
+def count(target: str, one: Configuration, inputs: int, folder: Path) -> Count:
+    """The cost of so many random cycles, and of a solution with every parameter. Errors: ZygosError where that was
+    refused or leaves some out."""
+    write_run(one, random_cycles(one.arm, inputs), folder / "run.bin")
+    write_state(one, callgrind.build(folder, one.capacities))
+    if target == "x86-64":
+        return full(callgrind.count(folder))
+    cortex.build(target, folder, one.capacities)
+    return full(cortex.count(target, folder))
 
 
 def full(count: Count) -> Count:

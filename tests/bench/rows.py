@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bench import callgrind, cortex
-from bench.configurations import CONFIGURATIONS, JOINT_ROWS, random_cycles, write_run
+from bench import flown
+from bench.configurations import CONFIGURATIONS, JOINT_ROWS
 from bench.counting import STAGES, TOGETHER, Count, spread_by_data
-from bench.flown import full, write_state
 from bench.footprint import LIBRARY, footprints
 from bench.profile import profile
 
@@ -24,14 +23,7 @@ def inputs(target: str, name: str) -> int:
 def measure(target: str, name: str) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """The rows of a configuration on a target, and its profile."""
     folder, one = FOLDER / target / name.replace(", ", "-"), CONFIGURATIONS[name]()
-    write_run(one, random_cycles(one.arm, inputs(target, name)), folder / "run.bin")
-    write_state(one, folder)
-    if target == "x86-64":
-        callgrind.build(folder, one.capacities)
-        count = full(callgrind.count(folder))
-    else:
-        cortex.build(target, folder, one.capacities)
-        count = full(cortex.count(target, folder))
+    count = flown.count(target, one, inputs(target, name), folder)
     bytes_of = footprints(target, folder / "objects", one.capacities)
     rows = []
     for stage in (*STAGES, TOGETHER, LIBRARY):

@@ -62,7 +62,7 @@ def test_the_solution_that_is_counted_has_every_parameter(tmp_path: Path) -> Non
     with pytest.raises(ZygosError, match="rank 12 of 12, validity 0; remedy: a longer motion"):
         full(measured("x86-64", one, 800, tmp_path))
     refused = measured("x86-64", one, 50, tmp_path).tally.solve
-    write_state(one, tmp_path)
+    write_state(one, tmp_path / "driver")
     assert full(measured("x86-64", one, 50, tmp_path)).tally.solve > 1.5 * refused
 
 

@@ -12,10 +12,9 @@ from pathlib import Path
 
 from calls_support import Calls
 
-from bench import callgrind, cortex
-from bench.configurations import CONFIGURATIONS, random_cycles, write_run
+from bench import cortex, flown
+from bench.configurations import CONFIGURATIONS
 from bench.counting import TOGETHER
-from bench.flown import full, write_state
 from bench.footprint import LIBRARY, footprints
 from conftest import ROOT
 from verify.result import BUILD, FOLDER, Result, judged, missing
@@ -54,14 +53,7 @@ def measured(target: str, folder: Path) -> dict[str, float]:
     found: dict[str, float] = {}
     for name in COUNTED[target]:
         one, place = CONFIGURATIONS[name](), folder / target / name.replace(", ", "-")
-        write_run(one, random_cycles(one.arm, CYCLES), place / "run.bin")
-        write_state(one, place)
-        if target == "x86-64":
-            callgrind.build(place, one.capacities)
-            count = full(callgrind.count(place))
-        else:
-            cortex.build(target, place, one.capacities)
-            count = full(cortex.count(target, place))
+        count = flown.count(target, one, CYCLES, place)
         cycles = count.stage(TOGETHER)
         found[f"instructions of the usual cycle: {name}"] = round(float(cycles[count.ordinary()].mean()), 1)
         found[f"instructions of the dearest cycle: {name}"] = int(cycles.max())
