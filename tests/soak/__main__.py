@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 import time
-from json import JSONDecodeError, loads
+from json import loads
 from pathlib import Path
 from typing import Annotated
 
@@ -49,7 +49,7 @@ def others(file: Path) -> list[Outcome]:
     try:
         content = loads(file.read_text())
         found = [Outcome.of_json(one) for one in content["soaks"]]
-    except (JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ZygosError(f"{file}: no results of a soak; remedy: remove the file, or give --json another") from error
     return found if content.get("sources") == digest() else []
 

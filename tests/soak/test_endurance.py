@@ -72,7 +72,7 @@ def test_results_of_other_sources_do_not_stay(seven_hours: Outcome, tmp_path: Pa
     assert others(file) == []
 
 
-@pytest.mark.parametrize("content", ["{", '{"soaks": [{"name": "two"}]}', "[]", "{}"])
+@pytest.mark.parametrize("content", ["{", '{"soaks": [{"name": "two"}]}', '{"soaks": [1]}', "[]", "{}"])
 def test_a_damaged_file_of_results_is_refused(content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "soak.json"
     file.write_text(content)

@@ -14,7 +14,8 @@ from zygos.files.output import check_outputs, counted, say, table, write_json, w
 from zygos.model.model import load_model
 from zygos.native import snapshot
 from zygos.native.flight import Flight, ffi, lib
-from zygos.native.header import capacities, header, in_place_build, in_place_memory, least_build, least_memory, options
+from zygos.native.header import capacities, header, in_place_build, least_build, options
+from zygos.native.sizes import memory
 
 HEADER, BLOB = "arm_config.h", "arm.zyg"
 
@@ -33,7 +34,7 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
     snapshot.write(blob, "configuration", ffi.addressof(flight.native, "config"))
     needs = capacities(flight.native.config)
     build, smaller = least_build(flight.native.config), in_place_build(flight.native.config)
-    bytes_of, in_place = least_memory(flight.native.config), in_place_memory(flight.native.config)
+    bytes_of, in_place = memory(build), memory(smaller, in_place=True)
     summary = {
         "arm": arm.name,
         "header": str(source),

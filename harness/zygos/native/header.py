@@ -55,20 +55,10 @@ def least_build(config: Any) -> dict[str, int]:
     return {name: value for name, value in needs.items() if parameters > 0 or name != "ZYGOS_MAX_PARAMETERS"}
 
 
-def least_memory(config: Any) -> dict[str, int]:
-    """Bytes of the structs in that build, by what they hold (`zygos.native.sizes.memory`)."""
-    return memory(least_build(config))
-
-
 def in_place_build(config: Any) -> dict[str, int]:
     """The same with the fewest blocks of all rows: what a flight computer needs that solves in place."""
     needs = least_build(config) | _FEWEST
     return {name: value for name, value in needs.items() if config.momentum_arc_cycles or "MOMENTUM_BLOCKS" not in name}
-
-
-def in_place_memory(config: Any) -> dict[str, int]:
-    """Bytes of the structs in that build, with the solver that solves in place and no copy of the sums."""
-    return memory(in_place_build(config), in_place=True)
 
 
 def options(build: dict[str, int]) -> str:
@@ -117,19 +107,19 @@ def header(flight: Flight, source: str) -> str:
         for macro, value in capacities(config).items()
         if value > 0
     ]
-    bytes_of = least_memory(config)
-    in_place = in_place_memory(config)
+    build, smaller = least_build(config), in_place_build(config)
+    bytes_of, in_place = memory(build), memory(smaller, in_place=True)
     version = library.lib.ZYGOS_VERSION_MAJOR_VALUE, library.lib.ZYGOS_VERSION_MINOR_VALUE
     return "\n".join(
         [
             f"// Arm {printable(flight.arm.name)}, compiled from {source} by `zygos compile-model`. Do not edit.",
             "//",
-            f"// The smallest build that holds it: {options(least_build(config))}",
+            f"// The smallest build that holds it: {options(build)}",
             f"// It takes {sum(bytes_of.values()):,} bytes: "
             + ", ".join(f"{what} {size:,}" for what, size in bytes_of.items())
             + ".",
             "//",
-            f"// With the fewest blocks: {options(in_place_build(config))}",
+            f"// With the fewest blocks: {options(smaller)}",
             f"// Solved in place (zygos_solve_in_place()), it takes {sum(in_place.values()):,} bytes: "
             + ", ".join(f"{what} {size:,}" for what, size in in_place.items())
             + ".",
