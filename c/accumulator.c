@@ -167,9 +167,10 @@ double zygos_accumulator_instants(const zygos_accumulator_t *self, uint32_t rank
 
 static uint64_t checksum_of_block(const zygos_block_t *block, uint32_t width)
 {
-    const double weights[4] = { block->instants, block->square, block->overlap, block->fade };
+    const double weights[6] = { block->instants, block->square,      block->overlap,
+                                block->fade,     block->variance[0], block->variance[1] };
     return zygos_checksum_number(
-        zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 4), block->end);
+        zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 6), block->end);
 }
 
 /* Of a block of closed arcs. */
@@ -221,6 +222,7 @@ static void clear_buffer(zygos_accumulator_t *self, zygos_row_buffer_t *buffer)
     memset(buffer->gram, 0, zygos_gram_entries(self->width) * sizeof buffer->gram[0]);
     memset(buffer->sum, 0, self->width * sizeof buffer->sum[0]);
     buffer->instants = 0.0;
+    memset(buffer->variance, 0, sizeof buffer->variance);
     buffer->shared = ZYGOS_BUFFER_ROWS;
 }
 
@@ -303,6 +305,7 @@ static void clear_rest(zygos_block_t *block, uint32_t width)
     block->instants = 0.0;
     block->square = 0.0;
     block->overlap = 0.0;
+    memset(block->variance, 0, sizeof block->variance);
     block->fade = 1.0;
     block->end = 0;
     block->checksum = 0;
@@ -361,6 +364,9 @@ static void proceed_merge(zygos_accumulator_t *self)
     to->square = own * (to->square + 2.0 * to->overlap) + other * from->square;
     to->instants = own * to->instants + other * from->instants;
     to->overlap = other * from->overlap;
+    for (uint32_t k = 0; k < 2u; k++) { /* in proportion to the instants that are left, like its deviations */
+        to->variance[k] = own * to->variance[k] + other * from->variance[k];
+    }
     to->end = from->end;
     to->fade = 1.0;
     if (closed) {
@@ -500,6 +506,13 @@ static void begin_next_task(zygos_accumulator_t *self)
     }
 }
 
+/* Whether both copies of a sum of squares are the same, and possible. */
+static bool is_twice(const double *variance)
+{
+    const double off = variance[0] - variance[1];
+    return (variance[0] >= 0.0) && (off >= 0.0) && (off <= 0.0);
+}
+
 /* Whether a block of the open arc has as many instants as its sums count, and of these the weights that its segments
    gave it: those of an instant add up to 1, so w = w^2 + what w shares with the block before and the one behind. */
 static bool weighs_what_it_should(const zygos_block_t *block, uint32_t width, double before)
@@ -507,7 +520,8 @@ static bool weighs_what_it_should(const zygos_block_t *block, uint32_t width, do
     const double off = block->gram[zygos_gram_entries(width) - 1u] - block->instants;
     const double shared = block->instants - block->square - block->overlap - before;
     const double few = rounded(block->instants) * (1.0 + block->instants);
-    return (block->checksum == 0) && (off >= -few) && (off <= few) && (shared >= -few) && (shared <= few);
+    return (block->checksum == 0) && (off >= -few) && (off <= few) && (shared >= -few) && (shared <= few) &&
+           is_twice(block->variance);
 }
 
 /* Behind the last block of the closing arc: its noise. */
@@ -599,7 +613,7 @@ static void proceed_centre(zygos_accumulator_t *self)
         block->end = self->closing_end;
         block->fade = 1.0;
         const bool whole =
-            (self->means == checksum_of_means(self)) &&
+            (self->means == checksum_of_means(self)) && is_twice(block->variance) &&
             (zygos_gram_scanned(&self->scan, block->gram, self->width, block->sum, block->instants) <= 1.0);
         self->whole &= whole ? 1u : 0u;
         seal(block, self->width, self->whole != 0);
@@ -845,6 +859,11 @@ static void next_buffer(zygos_accumulator_t *self)
     falling->overlap += n * early * late;
     rising->instants += n * late;
     rising->square += n * late * late;
+    for (uint32_t k = 0; k < 2u; k++) {
+        falling->variance[k] += early * buffer->variance[k];
+        rising->variance[k] += late * buffer->variance[k];
+        buffer->variance[k] = 0.0;
+    }
     self->segment += n;
     buffer->early = early;
     buffer->late = late;
@@ -885,6 +904,8 @@ bool zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     z[p + 1u] = weight;
     zygos_gram_add(buffer->gram, buffer->sum, width, z);
     buffer->instants += weight;
+    buffer->variance[0] += row->variance; /* the work of a refused instant is in those behind it */
+    buffer->variance[1] += row->variance;
     self->filled++;
     share_out_slices(self, 1u);
     if (self->filled >= ZYGOS_BUFFER_ROWS) {
@@ -928,6 +949,11 @@ static void drop_open_arc(zygos_accumulator_t *self, bool has_rows)
     }
     self->accepted -= self->arc_instants;
     self->count = self->fresh;
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) { /* which instants add to that have no rows */
+        if (b == self->filling) {
+            memset(self->buffer[b].variance, 0, sizeof self->buffer[b].variance);
+        }
+    }
     if (has_rows) {
         clear_rows(self, self->parity);
     }
@@ -956,7 +982,7 @@ bool zygos_accumulator_close(zygos_accumulator_t *self, uint64_t cycle, uint32_t
 {
     const bool brief = zygos_accumulator_is_short(self);
     if (brief && (zygos_accumulator_closing(self) || (self->count == self->fresh))) {
-        drop_open_arc(self, self->arc_instants > 0); /* refused instants have added nothing */
+        drop_open_arc(self, self->arc_instants > 0); /* refused instants have added no rows */
         return false;
     }
     judge(self);
@@ -1194,11 +1220,11 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
     bool whole = zygos_accumulator_steady(self) && is_count(self->segment);
     for (uint32_t r = self->fresh; r < self->count; r++) {
         const zygos_block_t *block = zygos_accumulator_at(self, r);
-        whole = whole && (block->checksum == 0) && is_count(block->instants);
+        whole = whole && (block->checksum == 0) && is_count(block->instants) && is_twice(block->variance);
     }
     const double adds = NOISE_ADDS * (double)self->accepted;
     for (uint32_t b = 0; whole && (b < ZYGOS_ROW_BUFFERS); b++) {
-        whole = is_count(self->buffer[b].instants);
+        whole = is_count(self->buffer[b].instants) && is_twice(self->buffer[b].variance);
     }
     for (uint32_t n = 0; whole && (n < 2u); n++) {
         const zygos_noise_sums_t *noise = &self->noise_open[n];

@@ -1,6 +1,7 @@
 #include "zygos/balance.h"
 
 #include "zygos/reduction.h"
+#include "zygos/wire.h"
 
 #include <string.h>
 
@@ -69,17 +70,32 @@ const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygo
     return self->torque[0][behind(self->torque_at, config)];
 }
 
-/* Advances W, D and the effects to this instant. Returns the term of torque steps in the work of the row. */
+/* Variance of a torque after the gear: the declared one, at least that of the steps of a torque frame, and that of a
+   share of the torque. */
+static double variance_of_torque(const zygos_joint_config_t *joint, double torque)
+{
+    const double step = joint->gear_ratio / ZYGOS_TORQUE_CODES;
+    const double own = joint->torque_sigma * joint->torque_sigma;
+    const double share = joint->torque_relative_sigma * torque;
+    const double steps = step * step / 12.0;
+    return ((own > steps) ? own : steps) + share * share;
+}
+
+/* Advances W, D and the effects to this instant. Returns the term of torque steps in the work of the row. variance: see
+   zygos_row_t. */
 static double advance(zygos_balance_t *self, const zygos_config_t *config, const zygos_integral_bias_t *bias,
-                      const zygos_arm_state_t *state)
+                      const zygos_arm_state_t *state, double *variance)
 {
     const double *tau = zygos_balance_torque_before(self);
     const double *tau_next = zygos_balance_torque_after(self, config);
     const double h24 = config->period_s / 24.0;
     double step_work = 0.0;
+    *variance = 0.0;
     for (uint32_t i = 0; i < config->joints; i++) {
         const double ratio = config->joint[i].gear_ratio;
-        self->work += ratio * tau[i] * (state->theta[i] - self->theta[i]);
+        const double moved = state->theta[i] - self->theta[i];
+        self->work += ratio * tau[i] * moved;
+        *variance += variance_of_torque(&config->joint[i], ratio * tau[i]) * moved * moved;
         step_work += ratio * (tau_next[i] - tau[i]) * state->theta_rate[i];
         self->theta[i] = state->theta[i];
         const double dissipation_rate = state->theta_rate[i] - state->q_rate[i];
@@ -122,7 +138,8 @@ int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const
                       const zygos_integral_bias_t *bias, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                       zygos_row_t *out)
 {
-    const double step_work = advance(self, config, bias, state);
+    double variance = 0.0;
+    const double step_work = advance(self, config, bias, state, &variance);
     self->instants += (self->instants < 4u) ? 1u : 0u;
     if (self->instants < 4u) {
         return 0;
@@ -136,5 +153,6 @@ int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const
     zygos_effects_scale(&self->effects, config, factor);
     form_row(self, config, column_map, state, motion, out);
     out->work += step_work;
+    out->variance = factor * variance;
     return 1;
 }

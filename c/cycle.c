@@ -41,6 +41,26 @@ const zygos_cycle_t *zygos_receiver_front(const zygos_receiver_t *self)
     return (head == queue->tail) ? NULL : &queue->slot[queue->tail];
 }
 
+static uint64_t bits_of(double x)
+{
+    uint64_t bits;
+    __builtin_memcpy(&bits, &x, sizeof bits);
+    return bits;
+}
+
+bool zygos_receiver_front_is_whole(const zygos_receiver_t *self, const zygos_config_t *config)
+{
+    const zygos_cycle_t *cycle = &self->queue.slot[self->queue.tail];
+    uint64_t fold = cycle->sync ^ cycle->flags;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        fold ^= bits_of(cycle->q[i]) ^ bits_of(cycle->theta[i]) ^ bits_of(cycle->tau[i]);
+    }
+    for (uint32_t i = 0; (i < 3u) && (config->imu_node != 0); i++) {
+        fold ^= bits_of(cycle->omega[i]);
+    }
+    return fold == self->queue.fold[self->queue.tail];
+}
+
 void zygos_receiver_pop(zygos_receiver_t *self)
 {
     __atomic_store_n(&self->queue.tail, behind(self->queue.tail), __ATOMIC_RELEASE);
@@ -67,6 +87,13 @@ static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
 {
     const uint32_t head = self->queue.head; /* as with the number of joints */
     return &self->queue.slot[(head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u];
+}
+
+/* Stores a reading of the open cycle. */
+static void store(zygos_receiver_t *self, double *place, double reading)
+{
+    *place = reading;
+    self->assembly.fold ^= bits_of(reading);
 }
 
 static void push(zygos_receiver_t *self)
@@ -102,6 +129,7 @@ static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
         zygos_cycle_t *cycle = open_cycle(self);
         cycle->sync = a->sync;
         cycle->flags = a->broken | void_cycles(a);
+        self->queue.fold[cycle - self->queue.slot] = a->fold ^ cycle->sync ^ cycle->flags;
         push(self);
         return;
     }
@@ -165,6 +193,7 @@ static int take_sync(zygos_receiver_t *self, const zygos_config_t *config, const
     }
     a->counter = counter;
     a->received = 0;
+    a->fold = 0;
     self->status.spoiled = 0;
     return accept(self);
 }
@@ -265,8 +294,8 @@ static uint32_t *take_angles(zygos_receiver_t *self, const zygos_config_t *confi
         return &self->faults.motor_invalid;
     }
     zygos_cycle_t *cycle = open_cycle(self);
-    cycle->q[joint] = link * ZYGOS_ANGLE_UNIT;
-    cycle->theta[joint] = motor * ZYGOS_ANGLE_UNIT;
+    store(self, &cycle->q[joint], link * ZYGOS_ANGLE_UNIT);
+    store(self, &cycle->theta[joint], motor * ZYGOS_ANGLE_UNIT);
     return NULL;
 }
 
@@ -284,7 +313,7 @@ static uint32_t *take_torque(zygos_receiver_t *self, const zygos_config_t *confi
     if ((latch_error > LATCH_TOLERANCE_US) || (latch_error < -LATCH_TOLERANCE_US)) {
         return &self->faults.latch;
     }
-    open_cycle(self)->tau[joint] = torque / ZYGOS_TORQUE_CODES;
+    store(self, &open_cycle(self)->tau[joint], torque / ZYGOS_TORQUE_CODES);
     return NULL;
 }
 
@@ -301,10 +330,10 @@ static uint32_t *take_rates(zygos_receiver_t *self, uint32_t message, const uint
         return &self->faults.saturated;
     }
     if (message == ZYGOS_MSG_RATE_XY) {
-        omega[0] = first / ZYGOS_RATE_FINE_CODES;
-        omega[1] = second / ZYGOS_RATE_FINE_CODES;
+        store(self, &omega[0], first / ZYGOS_RATE_FINE_CODES);
+        store(self, &omega[1], second / ZYGOS_RATE_FINE_CODES);
     } else {
-        omega[2] = first / ZYGOS_RATE_FINE_CODES;
+        store(self, &omega[2], first / ZYGOS_RATE_FINE_CODES);
     }
     return NULL;
 }
@@ -321,7 +350,7 @@ static uint32_t *take_coarse_rates(zygos_receiver_t *self, const uint8_t *data)
         }
     }
     for (uint32_t i = 0; i < 3; i++) {
-        open_cycle(self)->omega[i] = zygos_wire_i16(data + 2u + 2u * i) / ZYGOS_RATE_COARSE_CODES;
+        store(self, &open_cycle(self)->omega[i], zygos_wire_i16(data + 2u + 2u * i) / ZYGOS_RATE_COARSE_CODES);
     }
     return NULL;
 }

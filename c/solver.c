@@ -967,6 +967,45 @@ static void add_common_error(const zygos_solver_t *work, uint32_t p, double syst
     }
 }
 
+/* The noise of torques walks in the work of an arc, so that its errors are alike in neighbouring blocks, and the
+   scatter of blocks shows too little of them. A step of the walk acts on the sums of all centred rows behind it. These
+   are the sums of the deviations of the blocks, in order of time; within a block they change evenly, from u to next.
+   Where a block of an arc is lacking they do not end with 0; the rest is shared out to all instants. */
+static void add_torque_noise(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
+{
+    double *u = work->without;
+    double *next = work->linearised;
+    double *rest = work->product;
+    memset(u, 0, p * sizeof u[0]);
+    memset(work->right_side, 0, sizeof work->right_side);
+    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+        const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
+        for (uint32_t i = 0; i < p; i++) {
+            work->right_side[i] += block->deviation[i] * work->scale[i];
+        }
+    }
+    solve_once(work, p, rank, rest);
+    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+        const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
+        const double share = block->instants / work->instants;
+        for (uint32_t i = 0; i < p; i++) {
+            work->right_side[i] = block->deviation[i] * work->scale[i];
+        }
+        solve_once(work, p, rank, next);
+        for (uint32_t i = 0; i < p; i++) {
+            next[i] += u[i] - share * rest[i];
+        }
+        const double third = block->variance[0] / 3.0;
+        for (uint32_t i = 0; i < p; i++) {
+            for (uint32_t j = 0; j <= i; j++) {
+                const double both = 0.5 * (u[i] * next[j] + next[i] * u[j]);
+                covariance[at(i, j)] += third * (u[i] * u[j] + next[i] * next[j] + both);
+            }
+        }
+        memcpy(u, next, p * sizeof u[0]);
+    }
+}
+
 static bool is_precise(const zygos_solver_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
 {
     return out->sigma[i] <= limit * work->size[i];
@@ -1351,6 +1390,9 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     inverse_diagonal(work, p, rank, work->inverse);
     jackknife(work, p, rank, out->covariance);
     add_common_error(work, p, (excess > 0.0) ? excess / unexplained : 0.0, out);
+    if (!joints) {
+        add_torque_noise(work, p, rank, out->covariance);
+    }
     shift_by_noise(work, p, noise);
     if (noisy) {
         /* The error by the noise that could not be subtracted. */
@@ -1581,6 +1623,9 @@ static bool solve_before(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out
     }
     inverse_diagonal(work, p, rank, work->inverse);
     jackknife(work, p, rank, out->covariance);
+    if (work->joints_alone == 0) {
+        add_torque_noise(work, p, rank, out->covariance);
+    }
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
     for (uint32_t i = 0; i < p; i++) {

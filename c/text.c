@@ -43,8 +43,8 @@ const char *zygos_text(int code)
         return "a ratio, sign, zero, sigma, latch delay, forgetting_factor, compensation, imu_fine or imu_to_base is "
                "out of range";
     case ZYGOS_E_ARC:
-        return "arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below 20, or this build has no room for "
-               "momentum rows";
+        return "arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below 20, joint_row_cycles is odd or too "
+               "short, or this build has no room for such rows";
     case ZYGOS_E_ORDER:
         return "zygos_init() has not succeeded on this struct";
     case ZYGOS_E_KEEP:
@@ -70,9 +70,11 @@ const char *zygos_text(int code)
     case ZYGOS_E_CONFIG:
         return "is the state of another configuration";
     case ZYGOS_E_STATE:
-        return "was damaged before it was sealed: it holds a count that cannot be";
+        return "holds an index, count or length that cannot be: memory was changed, in a stored state before it was "
+               "sealed";
     case ZYGOS_E_SUMS:
-        return "was damaged before it was sealed: its sums are corrupt";
+        return "holds sums that do not match their row sums: memory was changed, in a stored state before it was "
+               "sealed";
     case ZYGOS_E_REDUCTION:
         return "the reduction to independent columns does not fit the arm or this build";
     }

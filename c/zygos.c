@@ -14,7 +14,7 @@ _Static_assert(FLT_EVAL_METHOD == 0, "zygos needs doubles that are rounded to do
 #define SIZE(member) (sizeof(((zygos_config_t *)0)->member))
 #define SIZE_OF_JOINT(member) (sizeof(((zygos_joint_config_t *)0)->member))
 _Static_assert((sizeof(zygos_joint_config_t) ==
-                4u * sizeof(uint32_t) + SIZE_OF_JOINT(frame) + SIZE_OF_JOINT(axis) + 10u * sizeof(double)) &&
+                4u * sizeof(uint32_t) + SIZE_OF_JOINT(frame) + SIZE_OF_JOINT(axis) + 11u * sizeof(double)) &&
                    (sizeof(zygos_effect_config_t) == 2u * sizeof(uint32_t)) &&
                    (sizeof(zygos_reduction_t) == 2u * sizeof(uint32_t) + sizeof(double)) &&
                    (sizeof(zygos_config_t) == 18u * sizeof(uint32_t) + 4u * sizeof(double) + SIZE(imu_to_base) +
@@ -90,7 +90,8 @@ static int check_joint(const zygos_config_t *config, uint32_t i)
                        within(joint->motor_latch_s + latch, 0.0, period);
     const bool link = is_sign(joint->link_sign) && within(joint->link_zero_rad, -1e3, 1e3) &&
                       within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->link_latch_s + latch, 0.0, period);
-    const bool torque = within(joint->torque_sigma, 0.0, LARGEST_VALUE);
+    const bool torque =
+        within(joint->torque_sigma, 0.0, LARGEST_VALUE) && within(joint->torque_relative_sigma, 0.0, 1.0);
     return (motor && torque && (link || (joint->rigid != 0)) && (joint->rigid <= 1u)) ? 1 : ZYGOS_E_VALUE;
 }
 
@@ -269,6 +270,8 @@ static uint64_t moving_of(const zygos_t *self)
                             impulse->origin ^ self->momentum.instants ^ self->momentum.origin ^
                             self->motor_sums.cycles ^ self->momentum_sums.cycles;
     uint64_t fold = folded(counts, &balance->work, FROM_TO(zygos_balance_t, work, dissipation_rate));
+    fold = folded(fold, self->previous.reported, FROM_TO(zygos_previous_cycle_t, reported, theta));
+    fold = folded(fold, &self->accumulator.length, FROM_TO(zygos_accumulator_t, length, segment));
     if (config->impulse_arc_cycles > 0) {
         fold = folded(fold, impulse->impulse, FROM_TO(zygos_impulse_t, impulse, past));
     }
@@ -736,6 +739,7 @@ static void add_energy(zygos_t *self, bool busy)
     if (config->reduced > 0) {
         zygos_reduce(config, &self->column_map, columns.column, self->row.column);
         self->row.work = columns.work;
+        self->row.variance = columns.variance;
     }
     zygos_noise_sums_t *noise = &self->accumulator.noise_open[self->accumulator.parity];
     zygos_row_buffer_t *buffer = &self->accumulator.buffer[self->accumulator.filling];
@@ -857,6 +861,16 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     return 1;
 }
 
+/* Ends the arcs before a cycle whose values must not be used, and counts it. Flags that have changed with the values
+   drop an arc at worst. */
+static void leave_out(zygos_t *self, const zygos_cycle_t *cycle)
+{
+    self->invalid++;
+    self->instant = 0;
+    void_arcs(self, cycle);
+    gap(self);
+}
+
 int zygos_step(zygos_t *self)
 {
     if (self == NULL) {
@@ -875,7 +889,11 @@ int zygos_step(zygos_t *self)
     if (!is_steady(self)) {
         return ZYGOS_E_STATE;
     }
-    process_cycle(self, cycle);
+    if (zygos_receiver_front_is_whole(&self->receiver, &self->config)) {
+        process_cycle(self, cycle);
+    } else {
+        leave_out(self, cycle);
+    }
     self->moving = moving_of(self);
     zygos_receiver_pop(&self->receiver);
     return 1;
@@ -907,10 +925,7 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
         return ZYGOS_E_STATE;
     }
     if (!usable(&self->config, cycle)) {
-        self->invalid++;
-        self->instant = 0;
-        void_arcs(self, cycle);
-        gap(self);
+        leave_out(self, cycle);
         self->moving = moving_of(self);
         return 0;
     }

@@ -24,9 +24,10 @@
 ///
 /// Every block contains its row sums: G 1 = sum holds up to rounding, unless memory was corrupted. The other members of
 /// a block of closed arcs, and the members that tell which blocks there are, have a checksum. In the open arc the
-/// number of instants is also in the sums, and the weights are checked against the overlap with the neighbouring
-/// blocks. An arc that fails this test when it closes is dropped. A flipped bit of the members that tell which blocks
-/// there are is found by the checksum, and flipped back. A block that merges keeps a wrong checksum.
+/// number of instants is also in the sums, the weights are checked against the overlap with the neighbouring
+/// blocks, and what the noise of torques adds is stored twice. An arc that fails this test when it closes is dropped. A
+/// flipped bit of the members that tell which blocks there are is found by the checksum, and flipped back. A block that
+/// merges keeps a wrong checksum.
 
 #ifndef ZYGOS_ACCUMULATOR_H
 #define ZYGOS_ACCUMULATOR_H
@@ -59,9 +60,10 @@ typedef struct {
     double instants;                    ///< Sum of the weights w of accepted instants.
     double square;                      ///< Sum of w^2.
     double overlap;                     ///< Sum of w times the weight in the following block.
-    double fade;       ///< Closed arcs: factor of all of it (exponential forgetting); otherwise unused.
-    uint64_t end;      ///< Closed arcs: number of the newest cycle.
-    uint64_t checksum; ///< Closed arcs: of deviation and the members after it; otherwise 0.
+    double variance[2]; ///< What the noise of the torques adds to the variance of the work in it [J^2], twice.
+    double fade;        ///< Closed arcs: factor of all of it but variance (exponential forgetting); otherwise unused.
+    uint64_t end;       ///< Closed arcs: number of the newest cycle.
+    uint64_t checksum;  ///< Closed arcs: of deviation and the members after it; otherwise 0.
 } zygos_block_t;
 
 /// The expected sums of products of noise: packed lower triangle of p + 1 rows, the work last, and its row sums.
@@ -74,12 +76,13 @@ typedef struct {
 typedef struct {
     double gram[ZYGOS_MAX_SLICED_GRAM];
     double sum[ZYGOS_MAX_SLICED_ROW];
-    double instants; ///< Accepted instants, while the buffer is filled.
-    double early;    ///< Weight of the older block, from then on.
-    double late;     ///< Weight of the newer block.
-    uint32_t places; ///< ZYGOS_PLACES() of the two blocks.
-    uint32_t shared; ///< Slices that have been added; ZYGOS_BUFFER_ROWS: all, or the buffer is filled.
-    uint32_t parity; ///< That of its arc.
+    double instants;    ///< Accepted instants, while the buffer is filled.
+    double variance[2]; ///< As of a block, while the buffer is filled.
+    double early;       ///< Weight of the older block, from then on.
+    double late;        ///< Weight of the newer block.
+    uint32_t places;    ///< ZYGOS_PLACES() of the two blocks.
+    uint32_t shared;    ///< Slices that have been added; ZYGOS_BUFFER_ROWS: all, or the buffer is filled.
+    uint32_t parity;    ///< That of its arc.
     uint32_t reserved;
 } zygos_row_buffer_t;
 

@@ -13,7 +13,10 @@
 /// When the torque steps at t_k, the slope of a smooth curve through the samples exceeds the true rate by h^2/12 times
 /// the slope of the acceleration. The kinetic energy is then too large by h/12 sum_i n_i (tau_(i,k) - tau_(i,k-1))
 /// theta'_(i,k), in which all inertias cancel; the work of the row is W_k plus this term. (A sampled torque has no such
-/// term.) After a gap three smoothed instants are needed for g; the fourth is the origin of the arc, W = D = 0.
+/// term.) The noise of the torques adds sum_i sigma_i^2 (theta_(i,k) - theta_(i,k-1))^2 to the variance of W_k: W
+/// walks. Here sigma_i^2 = s_i^2 + (torque_relative_sigma_i n_i tau_(i,k-1))^2, and s_i is torque_sigma_i, at least the
+/// deviation of the steps of a torque frame, n_i 1e-4 Nm / sqrt(12). After a gap three smoothed instants are needed for
+/// g; the fourth is the origin of the arc, W = D = 0.
 
 #ifndef ZYGOS_BALANCE_H
 #define ZYGOS_BALANCE_H
@@ -48,6 +51,8 @@ typedef struct {
 typedef struct {
     double column[ZYGOS_MAX_COLUMNS]; ///< In the order above.
     double work;                      ///< Work of the motors [J].
+    double variance;                  ///< What the noise of the torques adds to the variance of the work in the period
+                                      ///< before this instant [J^2].
 } zygos_row_t;
 
 /// The bias of the integrals of squared rates by noise in one period, which is subtracted (noise.h).

@@ -71,6 +71,7 @@ typedef struct {
     uint32_t timed;      ///< 1: time_us and time_sync hold the last FTIME; 2: one before zygos_receiver_resume().
     uint32_t time_us;
     uint64_t time_sync;
+    uint64_t fold; ///< Exclusive or of the readings of the open cycle that have arrived.
 } zygos_assembly_t;
 
 /// Ring buffer of the complete cycles, followed by the open one. Only the producer writes head, only the consumer
@@ -79,6 +80,7 @@ typedef struct {
     uint32_t head; ///< Index of the open cycle.
     uint32_t tail; ///< Index of the oldest complete cycle, if there is one.
     zygos_cycle_t slot[ZYGOS_CYCLE_QUEUE + 1];
+    uint64_t fold[ZYGOS_CYCLE_QUEUE + 1]; ///< Exclusive or of the readings of a complete cycle, its number and flags.
 } zygos_queue_t;
 
 /// Everything about reception.
@@ -109,6 +111,10 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
 /// zygos_receiver_pop(), which must not be called when there is none.
 const zygos_cycle_t *zygos_receiver_front(const zygos_receiver_t *self);
 void zygos_receiver_pop(zygos_receiver_t *self);
+
+/// Returns whether the oldest complete cycle is the one that arrived; otherwise memory was changed since. Needs that
+/// there is one. Cost: 3 operations for each joint.
+bool zygos_receiver_front_is_whole(const zygos_receiver_t *self, const zygos_config_t *config);
 
 /// The readings of the cycle before: the torque is needed by the torque law, the angles are needed to detect a wrap.
 typedef struct {

@@ -81,8 +81,9 @@ enum zygos_reason {
 /// Floor of the sigmas. The part of the squared residuals that the declared noise does not explain may be the same in
 /// every arc, for example the error of the smoother in a fast motion. The scatter of the blocks decreases with their
 /// number; that share of it is therefore kept as it would be after a single arc of arc_cycles instants: covariance =
-/// scatter (1 + share instants / arc_cycles). The share is at least this value, because no standard deviation is
-/// declared exactly, and because the neglected products of noise with itself (noise.h) do not show in the residuals.
+/// scatter (1 + share instants / arc_cycles), to which the noise of the torques (balance.h) is added. The share is at
+/// least this value, because no standard deviation is declared exactly, and because the neglected products of noise
+/// with itself (noise.h) do not show in the residuals.
 #define ZYGOS_SYSTEMATIC 0.05
 /// A parameter whose sigma exceeds this share of its size is not identifiable yet. The size is the value; for a kinetic
 /// parameter at least the square root of the product of the two diagonal parameters that it couples, and for a first
@@ -126,12 +127,12 @@ typedef struct {
     /// it, too.
     double solution[ZYGOS_MAX_PARAMETERS];
     double value[ZYGOS_MAX_PARAMETERS];
-    double sigma[ZYGOS_MAX_PARAMETERS];  ///< One standard deviation: scatter of the blocks, and a floor that does not
-                                         ///< average out (ZYGOS_SYSTEMATIC).
+    double sigma[ZYGOS_MAX_PARAMETERS];  ///< One standard deviation: scatter of the blocks, a floor that does not
+                                         ///< average out (ZYGOS_SYSTEMATIC), and the noise of the torques (balance.h).
     double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for the
                                          ///< effective number of blocks of the parameter.
-    double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle by rows, including the floor; NaN where a parameter has no
-                                         ///< value. Positive semi-definite among those that have one.
+    double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle by rows, of all that is in sigma; NaN where a parameter has
+                                         ///< no value. Positive semi-definite among those that have one.
 } zygos_estimate_t;
 
 /// Where the solver finds the sums, and what it remembers in between. Its five triangles lie in memory of the
@@ -226,7 +227,7 @@ bool zygos_work_intact(zygos_work_t *work);
 
 /// Detects a change of the arm by comparing the newest arc with all arcs before it. An arc with fewer than half the
 /// instants of the longest arc is not compared by itself: several such arcs count together once they have as many.
-/// Writes the estimate of the arcs before into *out (it ends with out->cycle; its sigmas are the scatter alone, because
+/// Writes the estimate of the arcs before into *out (it ends with out->cycle; its sigmas are without the floor, because
 /// both sides of the comparison share systematic errors), and into deviation[ZYGOS_MAX_PARAMETERS] the difference of
 /// the newest arc's own values from it, in standard deviations of the difference (from half95). There must be
 /// ZYGOS_CHANGE_MIN_BLOCKS blocks before the newest arc; a build with ZYGOS_MAX_BLOCKS of 32 or more keeps these, a

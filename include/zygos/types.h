@@ -270,8 +270,8 @@ enum zygos_error {
     ZYGOS_E_NODE = -8,       ///< A node number is not within 1..31 or is used twice; node 32 is the flight computer.
     ZYGOS_E_AXIS = -9,    ///< A joint axis is no unit vector, a frame of a spatial arm is no rotation, or an axis of a
                           ///< planar arm is not parallel to the first one.
-    ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, keep, compensation, imu_fine or imu_to_base is
-                          ///< not in its range.
+    ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, forgetting_factor, compensation, imu_fine or
+                          ///< imu_to_base is not in its range.
     ZYGOS_E_ARC = -11,    ///< arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS,
                           ///< joint_row_cycles is odd or too short, or this build has no room for such rows.
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
@@ -356,9 +356,10 @@ typedef struct {
     double link_latch_s;   ///< Delay of the link encoder's latch, in addition to latch_us.
     double motor_sign;     ///< The same as link_sign, for the motor encoder.
     double motor_zero_rad; ///< Reading of the motor encoder where theta = 0.
-    double motor_sigma_rad; ///< The same as link_sigma_rad, for the motor encoder.
-    double motor_latch_s;   ///< The same as link_latch_s, for the motor encoder.
-    double torque_sigma;    ///< Standard deviation of the torque's noise, after the gear [Nm]; 0: not declared.
+    double motor_sigma_rad;       ///< The same as link_sigma_rad, for the motor encoder.
+    double motor_latch_s;         ///< The same as link_latch_s, for the motor encoder.
+    double torque_sigma;          ///< Standard deviation of the torque's noise, after the gear [Nm]; 0: not declared.
+    double torque_relative_sigma; ///< The same as a share of its size, 0 .. 1. Both add in squares.
 } zygos_joint_config_t;
 
 /// One entry of the matrix that reduces columns to parameters (reduction.h).

@@ -64,7 +64,8 @@ typedef struct {
     uint64_t cycle;           ///< SYNC number of the newest cycle that was processed.
     uint64_t cycles;          ///< Number of cycles that were processed.
     uint64_t gaps;            ///< Number of times an arc ended because a cycle did not follow the one before.
-    uint64_t invalid;         ///< Number of cycles given to zygos_cycle() that were flagged invalid or not finite.
+    uint64_t invalid;         ///< Number of cycles that were not used: flagged invalid, not finite, or changed in
+                              ///< memory before they were processed.
     uint64_t wraps;           ///< Number of times an angle passed the end of its multi-turn range; the arc ends.
     uint64_t apart;           ///< Number of cycles with link and motor angle on different sides of that end, not used.
     uint64_t waited[ZYGOS_KINDS_OF_ROWS]; ///< Number of instants that have no row of a kind, because an arc of these
@@ -107,7 +108,7 @@ typedef struct {
 /// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
 /// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0x0A78FB34u
+#define ZYGOS_LAYOUT 0xB29897F9u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -153,11 +154,12 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config);
 /// run in the receive interrupt while zygos_step() runs in a task. Returns enum zygos_reception or an enum zygos_error.
 int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 
-/// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when
-/// no cycle was waiting, or an enum zygos_error: with ZYGOS_E_STATE, memory was changed and the cycle still waits; call
-/// zygos_scrub(). Cost: the same for every valid cycle of a configuration, with a part of a task (accumulator.h) beside
-/// it after the end of a block or an arc. An arc that ends while the one before it is closing waits until that one is
-/// closed; until then there are no rows of its kind.
+/// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. A cycle whose
+/// readings were changed in memory since they arrived is not used, and counted in invalid; the arc ends, and 1 is
+/// returned. Returns 1, or 0 when no cycle was waiting, or an enum zygos_error: with ZYGOS_E_STATE, memory was changed
+/// and the cycle still waits; call zygos_scrub(). Cost: the same for every valid cycle of a configuration, with a part
+/// of a task (accumulator.h) beside it after the end of a block or an arc. An arc that ends while the one before it is
+/// closing waits until that one is closed; until then there are no rows of its kind.
 int zygos_step(zygos_t *self);
 
 /// Processes one cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. Call it in
@@ -231,9 +233,9 @@ enum zygos_scrubbed {
 /// is, except for the member scrubbed, and an arc that waits for its end is ended. Returns 0 when nothing was found;
 /// bits of enum zygos_scrubbed; ZYGOS_E_NULL; ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or
 /// ZYGOS_E_CONFIG, with *self unchanged, when *config is not the configuration that *self was initialised with. Not
-/// checked are readings, smoothed signals and the integrals of joint rows, which last for a window or an increment, and
-/// counters of faults. Cost: one pass over *self for checksums and row sums, less than zygos_check(); where something
-/// has to be repaired, also that of zygos_restart().
+/// checked are readings that wait, which zygos_step() checks, smoothed signals and the integrals of joint rows, which
+/// last for a window or an increment, and counters of faults. Cost: one pass over *self for checksums and row sums,
+/// less than zygos_check(); where something has to be repaired, also that of zygos_restart().
 int zygos_scrub(zygos_t *self, const zygos_config_t *config);
 
 /// Restarts the estimate with the same configuration, for example because the payload changed or the sums are corrupt.

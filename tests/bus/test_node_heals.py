@@ -241,7 +241,7 @@ def sealed_corrupt(path: Path) -> None:
 
 
 SPOILED: dict[str, tuple[Callable[[Path], object], str]] = {
-    "sealed corrupt": (sealed_corrupt, "was damaged before it was sealed: its sums are corrupt"),
+    "sealed corrupt": (sealed_corrupt, "holds sums that do not match their row sums"),
     "empty": (lambda path: path.write_bytes(b""), "is no snapshot of zygos"),
     "cut off": (lambda path: os.truncate(path, path.stat().st_size // 2), "is cut off"),
     "zeros": (lambda path: path.write_bytes(bytes(path.stat().st_size)), "is no snapshot of zygos"),

@@ -124,7 +124,7 @@ def test_a_page_is_whole_and_says_where_it_comes_from(name: str, simulated: Path
         assert hashlib.sha256(path.read_bytes()).hexdigest() in page.text
     verdict = {
         "estimate": "valid 12 of 12 parameters learned from 1,200 cycles",
-        "check": "equal C and numpy agree in all 10 stages",
+        "check": "equal C and numpy agree in all 11 stages",
         "check-arm": "confirmed The run confirms every signal of the arm file",
     }[name]
     assert verdict in page.text

@@ -16,6 +16,7 @@ from zygos import reference
 from zygos.arm import Arm
 from zygos.balances.arcs import arc_cycles
 from zygos.native.flight import Flight, Trace, ffi, lib
+from zygos.reference.accumulator import Design
 from zygos.reference.compare import Room, Rounding, check_cycles, rounding, tables
 from zygos.reference.noise import moments, row_instants, spread
 from zygos.reference.solver import Rows, explained, scatter, that_stays
@@ -149,8 +150,9 @@ UNMERGED = 1350
 """Cycles in which no blocks merge: segments of a second, at 50 Hz."""
 
 
-def overlapping(both: Both) -> tuple[Floats, Floats]:
-    """Weights (K, m) of the accepted rows in blocks, and what noise adds to each block's squares (K, p+1, p+1).
+def overlapping(both: Both) -> tuple[Floats, Floats, Floats]:
+    """Weights (K, m) of the accepted rows in blocks, what noise adds to each block's squares (K, p+1, p+1), and to the
+    variance of the work in it, by torques (K,).
 
     In each segment of an arc one block fades out and the next fades in, from one step of instants to the next. A step
     that the end of the arc cuts short begins no segment. The noise of a step has the weights of the step.
@@ -163,18 +165,21 @@ def overlapping(both: Both) -> tuple[Floats, Floats]:
     since_origin = np.arange(len(balance.arc)) - np.searchsorted(balance.arc, balance.arc)
     weights: list[Floats] = []
     noise: list[Floats] = []
+    walk: list[float] = []
     for arc in np.unique(design.arc):
         rows = np.flatnonzero(balance.arc == arc)
         good = balance.accepted[rows]
         place = np.where(good, np.flatnonzero(design.arc == arc)[0] + np.cumsum(good) - 1, -1)
         weights.append(np.zeros(len(design.w)))
         noise.append(np.zeros_like(design.noise))
+        walk.append(0.0)
         held = longest
         for start in range(0, len(rows), STEP):
             step = slice(start, start + STEP)
             if held >= longest and (start == 0 or start + STEP <= len(rows)):
                 weights.append(np.zeros(len(design.w)))
                 noise.append(np.zeros_like(design.noise))
+                walk.append(0.0)
                 held = 0
             mine = place[step][good[step]]
             late = min(1.0, (held + 0.5 * len(mine)) / longest)
@@ -183,8 +188,22 @@ def overlapping(both: Both) -> tuple[Floats, Floats]:
             weights[-2][mine], weights[-1][mine] = 1.0 - late, late
             noise[-2] += (1.0 - late) * added
             noise[-1] += late * added
+            walk[-2] += (1.0 - late) * balance.walk[rows[step]].sum()
+            walk[-1] += late * balance.walk[rows[step]].sum()
             held += len(mine)
-    return np.array(weights), np.array(noise)
+    return np.array(weights), np.array(noise), np.array(walk)
+
+
+def walked(a: Floats, design: Design, weights: Floats, walk: Floats) -> Floats:
+    """(p, p) what the noise of torques adds to the covariance: each step of the work shifts all rows of its arc behind
+    it. The steps of a block are taken to be at many places, between which the sums of rows change evenly."""
+    sums = np.vstack([np.zeros(design.z.shape[1]), np.cumsum(weights @ design.z, axis=0)])
+    places = (np.arange(400) + 0.5) / 400.0
+    total = np.zeros_like(a)
+    for begin, end, variance in zip(sums[:-1], sums[1:], walk, strict=True):
+        moved = np.linalg.solve(a, (begin + places[:, None] * (end - begin)).T)
+        total += variance * moved @ moved.T / len(places)
+    return total
 
 
 @dataclass(frozen=True)
@@ -204,14 +223,14 @@ class Scatter:
 def scatter_of(both: Both) -> Scatter:
     """Where no blocks have merged."""
     design, solution = both.chain.design, both.chain.solution
-    weights, noise = overlapping(both)
+    weights, noise, walk = overlapping(both)
     np.testing.assert_allclose(weights.sum(axis=0), 1.0, rtol=1e-12)
     np.testing.assert_allclose(noise.sum(axis=0), design.noise, rtol=1e-9, atol=1e-12 * np.abs(design.noise).max())
     told = scatter(design.z, design.w, weights, noise)
     stays = that_stays(Rows(design.z, design.w, design.noise), solution, arc_cycles(both.arm))
-    covariance = (1.0 + stays) * told.covariance
     left = design.w - design.z @ solution.x
     a, b = design.normal()
+    covariance = (1.0 + stays) * told.covariance + walked(a, design, weights, walk)
     excess = max(0.0, left @ left - explained(design.noise, solution.x)) / (solution.x**2 @ np.diag(a))
     hidden = np.linalg.solve(a + excess * np.diag(np.sum(design.z**2, axis=0)), b) - np.linalg.solve(a, b)
     return Scatter(covariance, np.sqrt(np.diag(covariance) + hidden**2), told.freedom, weights, left)

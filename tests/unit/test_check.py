@@ -179,6 +179,6 @@ def test_a_state_that_was_sealed_corrupt_is_refused(flight: Flight, tmp_path: Pa
     CHANGES["closed block"][0](flight.native)
     snapshot.write(path, "state", flight.native)
     other = Flight(flight.arm)
-    with pytest.raises(ZygosError, match="its sums are corrupt; remedy: take an older one"):
+    with pytest.raises(ZygosError, match="before it was sealed; remedy: take an older one"):
         snapshot.resume(other, path)
     assert other.counts["cycles"] == 0

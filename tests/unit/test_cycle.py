@@ -489,6 +489,40 @@ def test_frames_stay_inside_the_queue_where_its_place_was_changed(
     assert lib.zygos_step(native) == 0
 
 
+@pytest.mark.parametrize("resolution", ["bus", "coarse"])
+@pytest.mark.parametrize("waits", [False, True])
+@pytest.mark.parametrize("member", ["q", "theta", "tau", "omega", "sync", "flags"])
+def test_a_cycle_is_not_used_if_its_readings_change_before_it_is_processed(
+    resolution: str, waits: bool, member: str, request: pytest.FixtureRequest
+) -> None:
+    """A bit flips in the open cycle, or in one that waits. The cycle counts as invalid and ends the arc."""
+    bus: Bus = request.getfixturevalue(resolution)
+    native = bus.flight.native
+    for counter in range(1, 13):
+        bus.cycles(counter)
+        lib.zygos_step(native)
+    bus.send(bus.sync(13))
+    assert lib.zygos_step(native) == 1
+    bus.send(*bus.data(13))
+    if waits:
+        bus.send(bus.sync(14))
+    queue, gaps, number = native.receiver.queue, int(native.gaps), int(native.cycle)
+    slot = queue.slot[queue.tail]
+    place = ffi.cast("uint8_t *", ffi.addressof(slot, member))
+    place[0] ^= 8
+    if not waits:
+        bus.send(bus.sync(14))  # which gives it its number and flags
+    spoilt = waits or member not in ("sync", "flags")
+    assert lib.zygos_step(native) == 1
+    assert (native.invalid, native.gaps - gaps, native.cycle - number) == ((1, 1, 0) if spoilt else (0, 0, 1))
+    bus.send(*bus.data(14))
+    bus.cycles(15, 2)
+    while lib.zygos_step(native) == 1:
+        pass
+    assert (native.invalid, native.cycle - number) == (1 if spoilt else 0, 3)
+    assert bus.faults() == {}
+
+
 @pytest.mark.parametrize("joints", [0, 8, 18, 2**31, 2**31 + 2])
 def test_no_cycle_is_complete_with_an_impossible_number_of_joints(bus: Bus, joints: int) -> None:
     """Frames of joints are foreign then, and those of the gyro alone make no cycle."""

@@ -557,8 +557,12 @@ def test_which_configurations_of_joint_rows_are_refused() -> None:
         assert verdict(setting("joint_row_cycles", cycles)) == lib.ZYGOS_E_ARC, cycles
     assert verdict(setting("arc_cycles", 3)) == lib.ZYGOS_E_ARC
     assert verdict(setting("momentum_arc_cycles", 100)) == lib.ZYGOS_E_BASE
-    for value in (-1.0, np.nan, 1e12):
-        assert verdict(lambda config, v=value: setattr(config.joint[1], "torque_sigma", v)) == lib.ZYGOS_E_VALUE  # type: ignore[misc]
+    for name, value in (
+        *(("torque_sigma", value) for value in (-1.0, np.nan, 1e12)),
+        *(("torque_relative_sigma", value) for value in (-1e-9, np.nan, 1.0 + 1e-9)),
+    ):
+        wrong = verdict(lambda config, n=name, v=value: setattr(config.joint[1], n, v))  # type: ignore[misc]
+        assert wrong == lib.ZYGOS_E_VALUE, (name, value)
     assert verdict(setting("reductions", 10**6)) == lib.ZYGOS_E_REDUCTION
     for name, value in (
         ("column", 10**6),

@@ -107,7 +107,7 @@ def blocks(flight: Flight, kind: str) -> list[tuple[str, Any]]:
 
 
 SMALL = {
-    "accumulator": ("instants", "square", "overlap", "fade", "end", "checksum"),
+    "accumulator": ("instants", "square", "overlap", "variance", "fade", "end", "checksum"),
     "motor_sums": ("instants", "total", "end", "checksum"),
     "momentum_sums": ("instants", "end", "checksum"),
 }
@@ -158,7 +158,7 @@ def test_what_says_which_blocks_there_are(flight: Flight) -> None:
         *(
             word
             for b in range(3)
-            for name in ("instants", "early", "late", "places", "shared")
+            for name in ("instants", "variance", "early", "late", "places", "shared")
             for word in words(flight, "accumulator", energy.buffer[b], [name])
         ),
         *words(flight, "motor_sums", motors, ["count", "corrupt", "instants", "cycles", "target", "checksum"]),
@@ -183,14 +183,17 @@ def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cyc
         return changed.estimate().reason == CORRUPT
 
     assert not refused(other())
-    for member in ("instants", "square", "overlap", "fade", "end"):
+    for member in ("instants", "square", "overlap", "variance", "fade", "end"):
         closed, behind, opened = other(), other(), other()
         order = list(closed.native.accumulator.order)
         first = closed.native.accumulator.block[order[0]]
         second = behind.native.accumulator.block[order[1]]
         last = opened.native.accumulator.block[order[opened.native.accumulator.count - 1]]
         for block in (first, second, last):
-            setattr(block, member, getattr(block, member) + 1)
+            if member == "variance":
+                block.variance[0] += 1.0
+            else:
+                setattr(block, member, getattr(block, member) + 1)
         assert refused(closed)
         assert refused(behind)
         assert not refused(opened)  # the arc is dropped when it closes, which is when it gets its end and its factor

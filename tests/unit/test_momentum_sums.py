@@ -414,6 +414,13 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     covariance *= np.outer(share, share)
     # blocks whose residuals add up are taken to be alike; what undeclared noise may hide is added to the diagonal
     covariance *= 1.0 + (len(blocks) - 1) * max(0.0, 1.0 - 1.0 / found.cluster)
+    # the noise of the torques: as at many places of each block, between whose ends the sums of rows change evenly
+    sums_of_rows, places_of = np.zeros(p), (np.arange(1000) + 0.5) / 1000.0
+    for block in blocks:
+        step = np.array(list(block.deviation[0:p]))
+        moved = np.array([solved(whole, sums_of_rows + share_of * step) for share_of in places_of])
+        covariance += block.variance[0] * moved.T @ moved / len(places_of)
+        sums_of_rows += step
     apart = ~np.eye(p, dtype=bool)
     size = np.outer(found.sigma, found.sigma)
     np.testing.assert_allclose(found.covariance[apart] / size[apart], covariance[apart] / size[apart], atol=1e-6)

@@ -191,7 +191,7 @@ def test_the_estimate_is_that_of_all_rows_by_their_weights(tmp_path: Path) -> No
     w = z @ rng.normal(size=p) + rng.normal(size=400)
     noise = 400.0 * np.diag(np.append(np.full(p, 1e-3), 0.5))
     none = np.zeros(400, dtype=np.int64)
-    design = Design(z, w, none, none.astype(np.uint64), 1, 0, 0, noise)
+    design = Design(z, w, none, none.astype(np.uint64), 1, 0, 0, noise, 0.0)
     first, second, few = made(arm, 0), made(arm, 1, seed=1), made(arm, 1, arcs=2, seed=2)
 
     a, b = z.T @ z - noise[:p, :p], z.T @ w

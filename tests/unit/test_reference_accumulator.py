@@ -22,7 +22,7 @@ def balance(lengths: list[int], p: int = 4, seed: int = 0, noise: float = 0.1) -
     x = rng.normal(size=p)
     z = rng.normal(size=(m, p)) + 3.0
     w = z @ x + rng.normal(scale=100.0, size=len(lengths))[arc] + noise * rng.normal(size=m)
-    made = EnergyRows(np.arange(m), np.arange(m, dtype=np.uint64), arc, np.ones(m, dtype=np.bool_), z, w)
+    made = EnergyRows(np.arange(m), np.arange(m, dtype=np.uint64), arc, np.ones(m, dtype=np.bool_), z, w, np.ones(m))
     return made, x
 
 

@@ -201,6 +201,8 @@ MOVING = (
     ("balance", "dissipation", 50), ("balance", "theta", 20), ("balance", "dissipation_rate", 52),
     ("impulse", "impulse", 45), ("impulse", "deflection_integral", 51), ("impulse", "past", 30),
     ("momentum", "attitude", 48), ("momentum", "past", 35), ("motor_sums", "cycles", 2), ("momentum_sums", "cycles", 2),
+    ("previous", "reported", 40), ("previous", "q", 41), ("previous", "theta", 42),
+    ("accumulator", "length", 51), ("accumulator", "segment", 50),
 )  # fmt: skip
 
 
@@ -400,24 +402,38 @@ def test_an_open_arc_of_momentum_rows_with_impossible_instants_is_dropped(
 
 
 OPEN = (("segment", -1.0), ("segment", float("nan")), ("segment", 1e300), ("arc", "checksum"), ("arc", -1.0),
-        ("arc", float("nan")), ("arc", 1e300))  # fmt: skip
+        ("arc", float("nan")), ("arc", 1e300), ("variance", -1.0), ("variance", float("nan")), ("variance", 1e-9),
+        ("buffer", -1.0), ("buffer", float("nan")), ("buffer", 1e-9))  # fmt: skip
 
 
 @pytest.mark.parametrize(("member", "value"), OPEN)
 def test_an_open_arc_of_energy_rows_with_impossible_numbers_is_dropped(
     member: str, value: Any, flight: Flight, flown: Flight, pristine: Any
 ) -> None:
-    """Of the instants of its segment, or of a block that has yet to get its checksum."""
+    """Of the instants of its segment, of a block that has yet to get its checksum, or of a buffer; or two copies that
+    differ."""
     sums = flight.native.accumulator
     block = sums.block[sums.order[sums.fresh]]
     if value == "checksum":
         block.checksum = 1
+    elif member in ("variance", "buffer"):
+        (sums.buffer[sums.filling] if member == "buffer" else block).variance[1] = value
     else:
         setattr(*((sums, "segment") if member == "segment" else (block, "instants")), value)
-    assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
+    # the accepted instants of the segment are also under what one cycle leaves to the next
+    found = BLOCKS | (PLACES if member == "segment" else 0)
+    assert lib.zygos_scrub(flight.native, pristine) == found
     assert sums.count == sums.open == flown.native.accumulator.open
     assert flight.native.quarantined == 1
     assert {(buffer.places, buffer.instants) for buffer in sums.buffer} == {(0, 0.0)}
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+
+
+@pytest.mark.parametrize("copy", [0, 1])
+def test_a_closed_block_whose_copies_differ_is_dropped(flight: Flight, pristine: Any, copy: int) -> None:
+    block = closed_block(flight.native)
+    block.variance[copy] *= 2.0
+    assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
     assert lib.zygos_scrub(flight.native, pristine) == 0
 
 

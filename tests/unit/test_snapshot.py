@@ -231,7 +231,7 @@ def test_a_count_that_cannot_be_is_refused(member: str, value: float, arm: Arm, 
     config = ffi.addressof(flight.native, "config")
     assert lib.zygos_resume(flight.native, config) == lib.ZYGOS_E_STATE
     assert image_of(flight) == before
-    with pytest.raises(ZygosError, match=r"was damaged before it was sealed.*; remedy: "):
+    with pytest.raises(ZygosError, match=r"memory was changed, in a stored state before it was sealed; remedy: "):
         snapshot.resume(Flight(arm), stored(flight, tmp_path))
 
 

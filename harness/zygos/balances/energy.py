@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.arm import Arm
+from zygos.arm import TORQUE_STEP, Arm
 from zygos.balances.arcs import FILL_INSTANTS, End, arc_cycles, left_out_arcs, spans, void_arcs, without_row
 from zygos.balances.effects import effect_columns
 from zygos.balances.kinematics import body_columns
@@ -24,6 +24,9 @@ from zygos.runs.smoother import Smoothed
 
 Floats = NDArray[np.float64]
 
+ROUNDED = TORQUE_STEP / np.sqrt(12.0)
+"""Standard deviation of a torque that a frame rounds, Nm."""
+
 
 @dataclass(frozen=True)
 class EnergyRows:
@@ -33,6 +36,7 @@ class EnergyRows:
     accepted: (m,) False where the smoother refuses the instant. z: (m, p) columns in `arm.parameter_names` order, then
     those of the effects.
     w: (m,) work since the arc's origin [J], raised by what torque steps add to the kinetic energy as it is read.
+    walk: (m,) variance that the noise of the torques adds to the work since the instant before [J^2].
     void: numbers of the arcs in which cycles may be missing unnoticed. left_out: of those that the library left out.
     """
 
@@ -42,6 +46,7 @@ class EnergyRows:
     accepted: NDArray[np.bool_]
     z: Floats
     w: Floats
+    walk: Floats
     void: frozenset[int] = frozenset()
     left_out: frozenset[int] = frozenset()
 
@@ -72,6 +77,15 @@ def step_work(arm: Arm, theta: Floats, tau: Floats) -> Floats:
     """Work of all motors over each step [J], (..., m-1), of torques (..., m, N) that are held: n tau_k-1 (theta_k -
     theta_k-1)."""
     total: Floats = np.sum(arm.gear_ratios * tau[..., :-1, :] * np.diff(theta, axis=-2), axis=-1)
+    return total
+
+
+def step_variance(arm: Arm, theta: Floats, tau: Floats) -> Floats:
+    """Variance of `step_work` by the noise of the torques [J^2], (..., m-1): the declared noise, at least that of the
+    steps of a torque frame, and a share of the torque, which is drawn anew in each period."""
+    own = np.array([joint.over_the_wire.torque_sigma if joint.torque_sigma > 0.0 else ROUNDED for joint in arm.joints])
+    share = np.array([joint.torque_relative_sigma for joint in arm.joints]) * tau[..., :-1, :]
+    total: Floats = np.sum((arm.gear_ratios * np.hypot(own, share) * np.diff(theta, axis=-2)) ** 2, axis=-1)
     return total
 
 
@@ -120,6 +134,7 @@ def energy_rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequenc
     h = arm.period_s
     longest, without = arc_cycles(arm), without_row(arm, samples, smoothed, "energy")
     work = np.zeros(len(smoothed.index))
+    walk = np.zeros_like(work)
     dissipated = np.zeros_like(smoothed.q)
     arc = np.full(len(smoothed.index), -1, dtype=np.int64)
     arcs = 0
@@ -131,11 +146,12 @@ def energy_rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequenc
         theta = smoothed.theta[of]
         tau = samples.tau[smoothed.index[of]]
         g = (smoothed.thetad[of] - smoothed.qd[of]) ** 2
-        done = step_work(arm, theta, tau)
+        done, spread = step_work(arm, theta, tau), step_variance(arm, theta, tau)
         jumps = torque_jump_energy(arm, smoothed.thetad[of[1:]], tau[:-1], tau[1:])
         step_loss = step_integrals(g, h, axis=0)
         for origin, stop, ended in spans(smoothed.accepted[of], longest, without[of]):
             work[of[origin + 1 : stop]] = np.cumsum(done[origin : stop - 1])
+            walk[of[origin + 1 : stop]] = spread[origin : stop - 1]
             work[of[origin:stop]] += jumps[origin - 1 : stop - 1]
             dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin : stop - 1], axis=0)
             arc[of[origin:stop]] = arcs
@@ -155,6 +171,7 @@ def energy_rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequenc
         accepted=smoothed.accepted[kept],
         z=z[kept],
         w=work[kept],
+        walk=walk[kept],
         void=void_arcs(samples, ends),
         left_out=left_out_arcs(samples, ends, "energy"),
     )

@@ -189,9 +189,10 @@ class LeftOut:
 class Blocks:
     """Sums of the rows, block by block, the arcs' constants eliminated and the declared noise taken off."""
 
-    energy: list[tuple[NDArray[np.float64], NDArray[np.float64], float, float]]
-    """Of each block the squares of columns and work (p+1, p+1), their sums less the arcs' means (p+1,), and the sums of
-    the instants' shares in it and of the shares' squares."""
+    energy: list[tuple[NDArray[np.float64], NDArray[np.float64], float, float, float]]
+    """Of each block the squares of columns and work (p+1, p+1), their sums less the arcs' means (p+1,), the sums of the
+    instants' shares in it and of the shares' squares, and what the noise of torques adds to the variance of the work in
+    it, J^2."""
     motors: list[list[tuple[NDArray[np.float64], float]]]
     """Of each block and joint the squares of its c columns and the impulse (c+1, c+1), and the instants."""
     momentum: list[NDArray[np.float64]]
@@ -348,6 +349,7 @@ def _fill_joints(config: Any, arm: Arm) -> None:
         out.gear_ratio = arm.gear_ratios[i]
         declared = joint.torque_sigma > 0.0
         out.torque_sigma = out.gear_ratio * joint.over_the_wire.torque_sigma if declared else 0.0
+        out.torque_relative_sigma = joint.torque_relative_sigma
         link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
         out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
@@ -558,6 +560,7 @@ class Flight:
                     np.frombuffer(ffi.buffer(block.deviation), dtype=np.float64)[:width].copy(),
                     block.instants,
                     block.square,
+                    block.variance[0],
                 )
                 for block in (sums.block[place] for place in sums.order[0 : sums.open])
             ],

@@ -22,7 +22,8 @@ class Design:
 
     z: (m, p). w: (m,) [J]. arc: (m,) arc number. sync: (m,) cycle number.
     noise: (p+1, p+1) mean contribution of noise to the squares of [z, w]. arcs: number of arcs in use. dropped_arcs:
-    arcs that are too short, void, or left out. refused: number of instants that failed the bandwidth test.
+    arcs that are too short, void, or left out. refused: number of instants that failed the bandwidth test. walk:
+    variance that the noise of torques adds to the work over these arcs [J^2], refused instants included.
     """
 
     z: Floats
@@ -33,6 +34,7 @@ class Design:
     dropped_arcs: int
     refused: int
     noise: Floats
+    walk: float
 
     def normal(self) -> tuple[Floats, Floats]:
         """A = Z' Z, shape (p, p), and b = Z' w, shape (p,), minus the mean contribution of noise."""
@@ -49,7 +51,7 @@ def design(balance: EnergyRows, moment: Floats | None = None) -> Design:
     z: list[Floats] = []
     w: list[Floats] = []
     kept: list[NDArray[np.int64]] = []
-    dropped = 0
+    dropped, walk = 0, 0.0
     for arc in np.unique(balance.arc):
         of = np.flatnonzero((balance.arc == arc) & balance.accepted)
         if len(of) < MIN_ARC_INSTANTS or arc in balance.void | balance.left_out:
@@ -58,6 +60,7 @@ def design(balance: EnergyRows, moment: Floats | None = None) -> Design:
         z.append(balance.z[of] - balance.z[of].mean(axis=0))
         w.append(balance.w[of] - balance.w[of].mean())
         kept.append(of)
+        walk += float(balance.walk[balance.arc == arc].sum())
         noise += 0.0 if moment is None else moment[arc]
     positions = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
     return Design(
@@ -69,4 +72,5 @@ def design(balance: EnergyRows, moment: Floats | None = None) -> Design:
         dropped_arcs=dropped,
         refused=int(np.sum(~balance.accepted)),
         noise=noise,
+        walk=walk,
     )

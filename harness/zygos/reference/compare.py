@@ -44,6 +44,8 @@ SIGMA_TOLERANCE = 1e-5
 SIGMA_DIGITS = 0.01
 """If the solutions are only accurate to this share of a sigma, as in a run without noise, sigmas are rounding
 errors."""
+NOISE_ABSENT = 0.1
+"""Below this ratio of the residuals' square to the declared noise, scatter is a matter of rounding."""
 STUDENT_TOLERANCE = 0.02
 """Tolerance relative to each half width, from 2 degrees of freedom upwards."""
 FLOOR = 0.1
@@ -321,6 +323,8 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     if not balance.void:
         # the library subtracts the noise of arcs that are discarded later in proportion
         rooms.append(_compare_noise(flight.noise(), used.noise, np.column_stack([used.z, used.w])))
+        if arm.memory_s is None:
+            rooms.append(_compare_walk(flight, used))
     off = np.abs(known.in_lengths(*flight.normal_equations()) - known.in_lengths(*used.normal()))
     _, difference, tolerance = _closest(off, rounds.equations)
     rooms.append(Room("normal equations", off.size, difference, None, tolerance))
@@ -338,7 +342,8 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     size[first:] = np.linalg.norm(own.w) / np.linalg.norm(own.z[:, first:], axis=0)
     relative = (np.abs(estimate.value - solution.x) / size)[has_value]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
-    if not balance.void and has_value.all() and estimate.signal_to_noise >= MIN_SIGNAL_TO_NOISE:
+    clear = estimate.signal_to_noise >= MIN_SIGNAL_TO_NOISE and not estimate.noise_ratio < NOISE_ABSENT
+    if not balance.void and has_value.all() and clear:
         # a sigma is computed from differences of solutions
         closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
         if closest <= SIGMA_DIGITS:
@@ -357,6 +362,13 @@ def _compare_groups(flight: Flight, joints: Groups) -> Room:
     ours = [sums for sums, _ in flight.blocks().joints]
     off = [np.max(np.abs(sums - joints.sums(g)) / np.outer(length, length)) for g, sums in enumerate(ours)]
     return Room("joint rows", len(ours) * len(length) ** 2, float(max(off)), None, LARGEST_TOLERANCE)
+
+
+def _compare_walk(flight: Flight, used: Design) -> Room:
+    """Compare what the noise of torques adds to the variance of the work."""
+    ours = sum(block[4] for block in flight.blocks().energy)
+    off = abs(ours - used.walk) / used.walk if used.walk > 0.0 else abs(ours)
+    return Room("torque noise", 1, off, None, LARGEST_TOLERANCE)
 
 
 def _of_groups(arm: Arm, flight: Flight, joints: Groups) -> Intervals:

@@ -21,6 +21,8 @@ _MEANS = {
     "smoother": "smoothed angles and rates at every instant",
     "balance": "the columns and the work of the energy balance at every instant",
     "bandwidth test": "which instants are used",
+    "joint rows": "the sums of the rows of the joints' momentum",
+    "torque noise": "what the noise of the torques adds to the variance of the work",
     "noise": "what the sensors' noise adds to the sums",
     "normal equations": "the sums that the parameters are solved from",
     "sigmas": "standard deviations and intervals",

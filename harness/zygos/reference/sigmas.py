@@ -28,13 +28,14 @@ class Block:
 
     sums: (p+1, p+1) squares of [z, w], weighted, with the noise subtracted. deviation: (p+1,) sum of [z, w] minus the
     means of their arcs. instants, square: sums of the rows' shares in the block and of their squares; 0 for motor and
-    momentum rows, whose blocks are arcs.
+    momentum rows, whose blocks are arcs. variance: what the noise of torques adds to the variance of the work, J^2.
     """
 
     sums: Floats
     deviation: Floats
     instants: float = 0.0
     square: float = 0.0
+    variance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,27 @@ def intervals(
     excess = max(0.0, square_left - noise_scale * explained(own, x))
     stays = instants / longest * max(SYSTEMATIC, excess / square_left)
     covariance *= 1.0 + max(stays, (len(energy) - 1) * alike)
+    covariance += np.outer(scale, scale) * (inverse @ _walk(energy, scale) @ inverse.T)
     hidden, _ = solved(total + back, excess / float(x**2 @ np.diag(total)[:p]))
     covariance += np.diag((hidden - x) ** 2)
     freedom = np.maximum(np.sum(gains, axis=0) ** 2 / np.sum(np.square(gains), axis=0), LEAST_FREEDOM)
     return Intervals(covariance, np.sqrt(np.diag(covariance)) * student_factor(0.95, freedom))
+
+
+def _walk(energy: Sequence[Block], scale: Floats) -> Floats:
+    """(p, p) covariance of the scaled right side by the noise of torques, which walks in the work of an arc.
+
+    A step of the walk counts with the sum of all rows behind it. Where the sums of all blocks do not end at 0, the rest
+    is shared out to the instants. Within a block the sums change evenly; Simpson's rule is exact for their squares.
+    """
+    step = np.array([scale * block.deviation[: len(scale)] for block in energy])
+    share = np.array([block.instants for block in energy])
+    bridge = np.cumsum(step - np.outer(share / share.sum(), step.sum(axis=0)), axis=0)
+    begin = np.vstack([np.zeros(len(scale)), bridge[:-1]])
+    variance = np.array([block.variance for block in energy])
+    ends = np.einsum("b,bi,bj->ij", variance, begin, begin) + np.einsum("b,bi,bj->ij", variance, bridge, bridge)
+    middle = np.einsum("b,bi,bj->ij", variance, begin + bridge, begin + bridge)
+    return np.asarray((ends + middle) / 6.0, dtype=np.float64)
 
 
 def joint_intervals(
