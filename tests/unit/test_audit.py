@@ -31,13 +31,16 @@ from scipy.signal import savgol_filter
 from scipy.stats import linregress
 
 from conftest import EXAMPLE, ROOT, need
-from zygos.arm import NO_IMU, Arm, Encoder, Joint, load_arm
+from zygos.accuracy.cases import all_cases, chosen
+from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.audit import Audit, audit
+from zygos.audit.balance import flattened
 from zygos.audit.means import Means, jackknifed
 from zygos.audit.readings import grid_step, noise_level, runs_of_equal
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.model.model import load_model
+from zygos.native.flight import WINDOW_MAX, Flight
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
@@ -88,6 +91,36 @@ def test_a_clean_run_is_clean(runs: dict[str, tuple[Arm, list[Cycles]]], name: s
         assert min(found.laws, key=lambda law: found.laws[law]) == "applied_from_sync"
         for pair in found.pairs:
             assert abs(pair.skew_s) < max(4 * pair.skew_sigma_s, 1e-5)
+
+
+def test_a_smoother_that_flattens_the_motion_is_named_and_the_next_one_is_right() -> None:
+    """Fine encoders on a fixed base: what the polynomial takes off the motion is more than is left of the noise."""
+    (case,) = chosen(all_cases(ROOT / "examples"), ["fixed"])
+    arm = replace(case.arm, smoother=Smoother(25, 6, 12))
+    trajectory = simulate(case.plant, case.model, case.scenario, seeds=[0], noise=True)
+    cycles = over_the_bus(arm, trajectory.cycles(0))
+    found = audit(arm, cycles)
+    assert named(found) == {"smoother": "of order 6 flattens the motion"}
+    assert found.findings[0].remedy == "order = 8 and points = 25 in [smoother], or slower motion"
+    better = replace(arm, smoother=Smoother(25, 8, 12))
+    assert audit(better, cycles).ok
+    hold = []
+    for told in (arm, better):
+        flight = Flight(told)
+        flight.cycles(cycles)
+        estimate = flight.estimate()
+        hold.append(np.abs(estimate.value - case.model.base_values(arm)) <= estimate.half95)
+    assert not hold[0].all() and hold[1].all()
+
+
+def test_a_smoother_is_not_judged_without_values_or_room(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    """Not from too short a run, nor where the library has no room for another one, nor beside a cut-off frequency."""
+    arm, (cycles, *_) = runs["lively"]
+    short = Cycles(*(getattr(cycles, name)[:60] for name in Cycles.__dataclass_fields__))
+    assert flattened(arm, cycles, ()) is not None
+    assert flattened(arm, short, ()) is None
+    assert flattened(replace(arm, smoother=Smoother(WINDOW_MAX, WINDOW_MAX - 3, WINDOW_MAX // 2)), cycles, ()) is None
+    assert flattened(replace(arm, smoother=replace(arm.smoother, cutoff_hz=3.0)), cycles, ()) is None
 
 
 Q1, Q2 = "shoulder link angle", "elbow link angle"

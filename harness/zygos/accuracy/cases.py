@@ -119,7 +119,8 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         return tuple(effect(key, joint.name, value) for joint in arm.joints)
 
     grounded = modern(200)
-    bolted = replace(grounded.plant, base="fixed", imu=NO_IMU)
+    # a lower order flattens this motion by more than is left of the noise, as `zygos check-arm` finds
+    bolted = replace(grounded.plant, base="fixed", imu=NO_IMU, smoother=Smoother(25, 8, 12))
 
     def with_joint_rows(case: Case) -> Case:
         return replace(
@@ -198,7 +199,7 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         replace(
             grounded,
             name="fixed",
-            description="the arm of modern-200 on a fixed base",
+            description="the arm of modern-200 on a fixed base, with a smoother of order 8",
             arm=bolted,
             plant=bolted,
             scenario=replace(grounded.scenario, angular_momentum_nms=0.0),

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from zygos.arm import ANGLE_STEP, Arm, Encoder, Joint, rounded
-from zygos.audit.balance import KINDS, Balance, WholeFault
+from zygos.audit.balance import KINDS, Balance, WholeFault, flattened
 from zygos.audit.encoders import pair, unskewed
 from zygos.audit.findings import Audit, Pair, Signal, SignalFault, Traffic, signal_names
 from zygos.audit.means import FLAT_QUANTA, Array, Means
@@ -43,6 +43,10 @@ FITS, FITS_WELL = 0.5, 0.1
 """Limits of the share of a torque that its motor's law alone leaves unexplained. Above the first, the law does not fit
 and no fault is reported from it; below the second, it needs no confirmation by the balance. Simulated joints leave at
 most 0.04, those of a KUKA KR300 0.44, and a real pendulum of two coupled rigid joints 0.4 to 0.9."""
+FLATTENED_SIGMAS = 3.5
+"""A smoother of the next order moves a value by more than so many standard deviations where the declared one takes too
+much off the motion. Noise reaches 2.6 in the trials of the examples, a motion that is flattened 5.3
+(tests/unit/test_audit.py)."""
 SKEW_SIGMAS, SKEW_SHARE = 4.0, 0.1
 """A skew is reported if it exceeds that many standard errors and that share of the period."""
 ZERO_SIGMAS = 6.0
@@ -163,6 +167,7 @@ class _Auditor:
             balance = self._balance(repaired, broken)
             if balance is not None:
                 self._torque_law(balance, {})
+                self._smoother(balance)
             return
         repaired, motors, clean = self._motors(use, means, broken)
         self.progress(0.4)
@@ -177,6 +182,7 @@ class _Auditor:
         skewed = self._pairs(motors, clean, balance)
         if balance is not None:
             self._torque_law(balance, skewed)
+            self._smoother(balance)
 
     # -- each signal alone
 
@@ -843,6 +849,23 @@ class _Auditor:
                 f"torque_law: not decided ({second} closes the energy balance {best / next_best:.2f} times as well as "
                 f"{first})"
             )
+
+    def _smoother(self, balance: Balance) -> None:
+        """Report a smoother that takes more off the motion than the intervals contain; in a run that has no other
+        fault, which would move the values as well."""
+        if self.findings:
+            return
+        found = flattened(self.arm, self.cycles, balance.friction)
+        if found is None or found.sigmas < FLATTENED_SIGMAS:
+            return
+        other = found.smoother
+        self.find(
+            "smoother",
+            f"of order {self.arm.smoother.order} flattens the motion",
+            f"with order {other.order} in a window of {other.points} points, {found.parameter} moves by "
+            f"{found.sigmas:.2g} standard deviations: the intervals are too narrow",
+            f"order = {other.order} and points = {other.points} in [smoother], or slower motion",
+        )
 
     # -- the table
 

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
-from zygos.arm import Arm, TorqueLaw
+from zygos.arm import Arm, Smoother, TorqueLaw
 from zygos.audit.means import Array
 from zygos.effects import CATALOGUE, Effect, estimated
 from zygos.files.output import counted
-from zygos.native.flight import REASONS, Flight, lib
+from zygos.native.flight import REASONS, Estimate, Flight, fits_window, lib
 from zygos.runs.cycles import Cycles
 
 MOST_CYCLES = 20_000
 """Largest number of cycles in the balance, which is computed again for every possible fault."""
+MOST_SMOOTHED = 100_000
+"""The same where the run is flown two to four times."""
 LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
 KINDS = ("q", "theta", "tau")
 
@@ -33,6 +35,50 @@ class WholeFault:
     turn: Array
     """(3, 3) true gyro reading = turn @ reading; the identity for a fault of joints."""
     cycles: Cycles
+
+
+@dataclass(frozen=True)
+class Flattened:
+    """What another smoother makes of a run."""
+
+    smoother: Smoother
+    """Of the next order, in the same window or the next one that holds it."""
+    parameter: str
+    """The parameter that moves furthest."""
+    sigmas: float
+    """How far, in its larger standard deviation with one of the smoothers."""
+
+
+def flattened(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> Flattened | None:
+    """Compare the estimate with that of a smoother whose polynomial has the next order. None where one of them gives
+    no values, neither with these effects nor without, or the C library has no room for the other.
+
+    Noise moves a value by less than the larger standard deviation; what a polynomial takes off the motion, which the
+    standard deviations do not contain, moves it further.
+    """
+    points = max(arm.smoother.points, arm.smoother.order + 5)
+    other = replace(arm, smoother=Smoother(points, arm.smoother.order + 2, points // 2))
+    if arm.smoother.cutoff_hz is not None or not fits_window(other):
+        return None
+    part = Cycles(*(getattr(cycles, name)[:MOST_SMOOTHED] for name in Cycles.__dataclass_fields__))
+
+    def estimate(own: Arm, columns: Sequence[Effect]) -> Estimate:
+        flight = Flight(own, columns)
+        flight.cycles(part)
+        return flight.estimate()
+
+    for columns in ((), effects):
+        first = estimate(arm, columns)
+        if first.validity not in ("valid", "partial"):
+            continue
+        second = estimate(other, columns)
+        if second.validity not in ("valid", "partial"):
+            continue
+        with np.errstate(invalid="ignore"):
+            moved = np.nan_to_num(np.abs(second.value - first.value) / np.maximum(first.sigma, second.sigma))
+        furthest = int(np.argmax(moved))
+        return Flattened(other.smoother, first.names[furthest], float(moved[furthest]))
+    return None
 
 
 class Balance:

@@ -95,8 +95,9 @@ def command(
     """Check a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
 
     Reports signals that are swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the
-    two encoders of a joint, zeros that are off, and a wrong torque law; each with the evidence in numbers and the
-    remedy. No model is needed. The page of --report has all of it, with charts of the readings.
+    two encoders of a joint, zeros that are off, a wrong torque law, and a smoother that flattens the motion, each with
+    the evidence in numbers and the remedy. No model is needed. The page of --report has all of it, with charts of the
+    readings.
 
     Exit code 3 when something is found, or the run does not confirm every signal.
 
