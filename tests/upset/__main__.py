@@ -46,8 +46,10 @@ def table(results: dict[str, dict[str, Any]]) -> str:
         lines.append(f"| {CAMPAIGNS[name].title} | {result['trials']:,} | " + " | ".join(cells) + " |")
     trials = sum(result["trials"] for result in results.values())
     silent = sum(result["count"]["silent"] for result in results.values())
-    lines += ["", f"Of {trials:,} trials, {silent} were silent: a share of {silent / trials:.1e}.", ""]
-    lines += ["| arm | member of `zygos_t` | silent | crash or hang |", "| --- | --- | --- | --- |"]
+    share = f"{silent} were silent: a share of {silent / trials:.1e}." if silent else "none was silent."
+    lines += ["", f"Of {trials:,} trials, {share}", ""]
+    hits = [one for result in results.values() for one in result["members"].values() if one]
+    lines += ["| arm | member of `zygos_t` | silent | crash or hang |", "| --- | --- | --- | --- |"] if hits else []
     for name, result in results.items():
         hit = result["members"]
         known = sorted({member for one in hit.values() for member in one}, key=lambda m: (-hit["silent"].get(m, 0), m))
