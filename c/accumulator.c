@@ -222,7 +222,7 @@ static void clear_buffer(zygos_accumulator_t *self, zygos_row_buffer_t *buffer)
     memset(buffer->gram, 0, zygos_gram_entries(self->width) * sizeof buffer->gram[0]);
     memset(buffer->sum, 0, self->width * sizeof buffer->sum[0]);
     buffer->instants = 0.0;
-    memset(buffer->variance, 0, sizeof buffer->variance);
+    buffer->variance = 0.0;
     buffer->shared = ZYGOS_BUFFER_ROWS;
 }
 
@@ -859,11 +859,13 @@ static void next_buffer(zygos_accumulator_t *self)
     falling->overlap += n * early * late;
     rising->instants += n * late;
     rising->square += n * late * late;
-    for (uint32_t k = 0; k < 2u; k++) {
-        falling->variance[k] += early * buffer->variance[k];
-        rising->variance[k] += late * buffer->variance[k];
-        buffer->variance[k] = 0.0;
-    }
+    const double falls = early * buffer->variance;
+    const double rises = late * buffer->variance;
+    falling->variance[0] += falls;
+    falling->variance[1] += falls;
+    rising->variance[0] += rises;
+    rising->variance[1] += rises;
+    buffer->variance = 0.0;
     self->segment += n;
     buffer->early = early;
     buffer->late = late;
@@ -904,8 +906,7 @@ bool zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     z[p + 1u] = weight;
     zygos_gram_add(buffer->gram, buffer->sum, width, z);
     buffer->instants += weight;
-    buffer->variance[0] += row->variance; /* the work of a refused instant is in those behind it */
-    buffer->variance[1] += row->variance;
+    buffer->variance += row->variance; /* the work of a refused instant is in those behind it */
     self->filled++;
     share_out_slices(self, 1u);
     if (self->filled >= ZYGOS_BUFFER_ROWS) {
@@ -951,7 +952,7 @@ static void drop_open_arc(zygos_accumulator_t *self, bool has_rows)
     self->count = self->fresh;
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) { /* which instants add to that have no rows */
         if (b == self->filling) {
-            memset(self->buffer[b].variance, 0, sizeof self->buffer[b].variance);
+            self->buffer[b].variance = 0.0;
         }
     }
     if (has_rows) {
@@ -1224,7 +1225,7 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
     }
     const double adds = NOISE_ADDS * (double)self->accepted;
     for (uint32_t b = 0; whole && (b < ZYGOS_ROW_BUFFERS); b++) {
-        whole = is_count(self->buffer[b].instants) && is_twice(self->buffer[b].variance);
+        whole = is_count(self->buffer[b].instants) && (self->buffer[b].variance >= 0.0);
     }
     for (uint32_t n = 0; whole && (n < 2u); n++) {
         const zygos_noise_sums_t *noise = &self->noise_open[n];

@@ -5,6 +5,9 @@
 
 #include <string.h>
 
+/* Standard deviation of what a torque frame loses by its steps, before the gear: a step divided by the root of 12. */
+#define ROUNDED_TORQUE (0.28867513459481287 / ZYGOS_TORQUE_CODES)
+
 void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out)
 {
     memset(out, 0, sizeof *out);
@@ -70,17 +73,6 @@ const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygo
     return self->torque[0][behind(self->torque_at, config)];
 }
 
-/* Variance of a torque after the gear: the declared one, at least that of the steps of a torque frame, and that of a
-   share of the torque. */
-static double variance_of_torque(const zygos_joint_config_t *joint, double torque)
-{
-    const double step = joint->gear_ratio / ZYGOS_TORQUE_CODES;
-    const double own = joint->torque_sigma * joint->torque_sigma;
-    const double share = joint->torque_relative_sigma * torque;
-    const double steps = step * step / 12.0;
-    return ((own > steps) ? own : steps) + share * share;
-}
-
 /* Advances W, D and the effects to this instant. Returns the term of torque steps in the work of the row. variance: see
    zygos_row_t. */
 static double advance(zygos_balance_t *self, const zygos_config_t *config, const zygos_integral_bias_t *bias,
@@ -90,12 +82,18 @@ static double advance(zygos_balance_t *self, const zygos_config_t *config, const
     const double *tau_next = zygos_balance_torque_after(self, config);
     const double h24 = config->period_s / 24.0;
     double step_work = 0.0;
-    *variance = 0.0;
+    double work = 0.0;
+    double walk = 0.0;
     for (uint32_t i = 0; i < config->joints; i++) {
         const double ratio = config->joint[i].gear_ratio;
         const double moved = state->theta[i] - self->theta[i];
-        self->work += ratio * tau[i] * moved;
-        *variance += variance_of_torque(&config->joint[i], ratio * tau[i]) * moved * moved;
+        const double done = ratio * tau[i] * moved;
+        work += done;
+        const double least = ratio * ROUNDED_TORQUE;
+        const double sigma = config->joint[i].torque_sigma;
+        const double own = ((sigma > least) ? sigma : least) * moved;
+        const double share = config->joint[i].torque_relative_sigma * done;
+        walk += own * own + share * share;
         step_work += ratio * (tau_next[i] - tau[i]) * state->theta_rate[i];
         self->theta[i] = state->theta[i];
         const double dissipation_rate = state->theta_rate[i] - state->q_rate[i];
@@ -108,7 +106,11 @@ static double advance(zygos_balance_t *self, const zygos_config_t *config, const
         *past_1 = *past_0;
         *past_0 = g;
     }
-    zygos_effects_advance(&self->effects, config, state, tau, tau_next, bias->effect);
+    self->work += work;
+    *variance = walk;
+    if (config->effects > 0) {
+        zygos_effects_advance(&self->effects, config, state, tau, tau_next, bias->effect);
+    }
     const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : 1.0;
     return held * step_work * config->period_s / 12.0;
 }
@@ -130,7 +132,9 @@ static void form_row(const zygos_balance_t *self, const zygos_config_t *config, 
             column[1] = self->dissipation[i];
         }
     }
-    zygos_effects_columns(&self->effects, config, &out->column[column_map->effects]);
+    if (config->effects > 0) {
+        zygos_effects_columns(&self->effects, config, &out->column[column_map->effects]);
+    }
     out->work = self->work;
 }
 
@@ -150,7 +154,9 @@ int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const
     for (uint32_t i = 0; i < config->joints; i++) {
         self->dissipation[i] *= factor;
     }
-    zygos_effects_scale(&self->effects, config, factor);
+    if (config->effects > 0) {
+        zygos_effects_scale(&self->effects, config, factor);
+    }
     form_row(self, config, column_map, state, motion, out);
     out->work += step_work;
     out->variance = factor * variance;

@@ -76,13 +76,13 @@ typedef struct {
 typedef struct {
     double gram[ZYGOS_MAX_SLICED_GRAM];
     double sum[ZYGOS_MAX_SLICED_ROW];
-    double instants;    ///< Accepted instants, while the buffer is filled.
-    double variance[2]; ///< As of a block, while the buffer is filled.
-    double early;       ///< Weight of the older block, from then on.
-    double late;        ///< Weight of the newer block.
-    uint32_t places;    ///< ZYGOS_PLACES() of the two blocks.
-    uint32_t shared;    ///< Slices that have been added; ZYGOS_BUFFER_ROWS: all, or the buffer is filled.
-    uint32_t parity;    ///< That of its arc.
+    double instants; ///< Accepted instants, while the buffer is filled.
+    double variance; ///< As of a block, while the buffer is filled.
+    double early;    ///< Weight of the older block, from then on.
+    double late;     ///< Weight of the newer block.
+    uint32_t places; ///< ZYGOS_PLACES() of the two blocks.
+    uint32_t shared; ///< Slices that have been added; ZYGOS_BUFFER_ROWS: all, or the buffer is filled.
+    uint32_t parity; ///< That of its arc.
     uint32_t reserved;
 } zygos_row_buffer_t;
 

@@ -89,7 +89,7 @@ def _bus(flight: Flight) -> str:
     seen = ", ".join(f"{name} {count:,}" for count, name in largest[:3])
     if cycles == 0:
         if flight.counts["invalid"]:
-            seen = counted(flight.counts["invalid"], "cycle") + " invalid, not finite, implausibly large or changed"
+            seen = f"{counted(flight.counts['invalid'], 'cycle')} invalid, not finite or implausibly large"
         came = f"the fault counters show {seen}" if seen else "no frame of this arm came"
         return f"no cycle was complete and {came}: compare the node numbers and the gyro of the arm file with the bus"
     found = []
