@@ -43,7 +43,7 @@ def test_the_variance_of_the_work_is_that_of_numpy(name: str, sigma: float, shar
 
 
 def test_another_step_of_a_torque_frame_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zygos.balances.energy.ROUNDED", 1.001e-4 / np.sqrt(12.0))
+    monkeypatch.setattr("zygos.arm.TORQUE_STEP", 1.001e-4)
     assert not walk("plain", 0.0, 0.0).equal
     assert walk("plain", 1e-3, 0.01).equal
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.arm import TORQUE_STEP, Arm
+from zygos.arm import Arm
 from zygos.balances.arcs import FILL_INSTANTS, End, arc_cycles, left_out_arcs, spans, void_arcs, without_row
 from zygos.balances.effects import effect_columns
 from zygos.balances.kinematics import body_columns
@@ -23,9 +23,6 @@ from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
 
 Floats = NDArray[np.float64]
-
-ROUNDED = TORQUE_STEP / np.sqrt(12.0)
-"""Standard deviation of a torque that a frame rounds, Nm."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ def step_work(arm: Arm, theta: Floats, tau: Floats) -> Floats:
 def step_variance(arm: Arm, theta: Floats, tau: Floats) -> Floats:
     """Variance of `step_work` by the noise of the torques [J^2], (..., m-1): the declared noise, at least that of the
     steps of a torque frame, and a share of the torque, which is drawn anew in each period."""
-    own = np.array([joint.over_the_wire.torque_sigma if joint.torque_sigma > 0.0 else ROUNDED for joint in arm.joints])
+    own = np.array([joint.over_the_wire.torque_sigma for joint in arm.joints])
     share = np.array([joint.torque_relative_sigma for joint in arm.joints]) * tau[..., :-1, :]
     total: Floats = np.sum((arm.gear_ratios * np.hypot(own, share) * np.diff(theta, axis=-2)) ** 2, axis=-1)
     return total
