@@ -5,9 +5,6 @@
 
 #include <string.h>
 
-/* Standard deviation of what a torque frame loses by its steps, before the gear: a step divided by the root of 12. */
-#define ROUNDED_TORQUE (0.28867513459481287 / ZYGOS_TORQUE_CODES)
-
 void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out)
 {
     memset(out, 0, sizeof *out);
@@ -89,7 +86,7 @@ static double advance(zygos_balance_t *self, const zygos_config_t *config, const
         const double moved = state->theta[i] - self->theta[i];
         const double done = ratio * tau[i] * moved;
         work += done;
-        const double least = ratio * ROUNDED_TORQUE;
+        const double least = ratio * ZYGOS_TORQUE_ROUNDING;
         const double sigma = config->joint[i].torque_sigma;
         const double own = ((sigma > least) ? sigma : least) * moved;
         const double share = config->joint[i].torque_relative_sigma * done;

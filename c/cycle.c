@@ -1,5 +1,7 @@
 #include "zygos/cycle.h"
 
+#include "zygos/gram.h"
+
 #include <string.h>
 
 /* A longer silence of FTIME could hide an outage of exactly 240 cycles, which the SYNC counter cannot see. */
@@ -41,22 +43,15 @@ const zygos_cycle_t *zygos_receiver_front(const zygos_receiver_t *self)
     return (head == queue->tail) ? NULL : &queue->slot[queue->tail];
 }
 
-static uint64_t bits_of(double x)
-{
-    uint64_t bits;
-    __builtin_memcpy(&bits, &x, sizeof bits);
-    return bits;
-}
-
 bool zygos_receiver_front_is_whole(const zygos_receiver_t *self, const zygos_config_t *config)
 {
     const zygos_cycle_t *cycle = &self->queue.slot[self->queue.tail];
     uint64_t fold = cycle->sync ^ cycle->flags;
     for (uint32_t i = 0; i < config->joints; i++) {
-        fold ^= bits_of(cycle->q[i]) ^ bits_of(cycle->theta[i]) ^ bits_of(cycle->tau[i]);
+        fold ^= zygos_bits_of(cycle->q[i]) ^ zygos_bits_of(cycle->theta[i]) ^ zygos_bits_of(cycle->tau[i]);
     }
     for (uint32_t i = 0; (i < 3u) && (config->imu_node != 0); i++) {
-        fold ^= bits_of(cycle->omega[i]);
+        fold ^= zygos_bits_of(cycle->omega[i]);
     }
     return fold == self->queue.fold[self->queue.tail];
 }
@@ -93,7 +88,7 @@ static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
 static void store(zygos_receiver_t *self, double *place, double reading)
 {
     *place = reading;
-    self->assembly.fold ^= bits_of(reading);
+    self->assembly.fold ^= zygos_bits_of(reading);
 }
 
 static void push(zygos_receiver_t *self)

@@ -126,13 +126,10 @@ uint64_t zygos_checksum_words(uint64_t checksum, const uint64_t *word, uint32_t 
     return checksum;
 }
 
-/* The compiler's own memcpy() is one load, also where a freestanding build has no other than that of a library. */
 uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n)
 {
     for (uint32_t i = 0; i < n; i++) {
-        uint64_t bits;
-        __builtin_memcpy(&bits, &x[i], sizeof bits);
-        checksum = continued(checksum, bits);
+        checksum = continued(checksum, zygos_bits_of(x[i]));
     }
     return checksum;
 }

@@ -2,7 +2,6 @@
 
 #include <string.h>
 
-#define TORQUE_STEP 1e-4     /* of a torque frame [Nm] */
 #define VARIANCE_OF_STEP 12. /* a step of 1 has the variance 1/12 */
 #define TWO_SIGMAS 1.959964  /* 95 % of a normal distribution */
 #define WIDER 2.0            /* standard deviations at the start, as a multiple of those of the estimate */
@@ -61,7 +60,7 @@ void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config
     for (uint32_t i = 0; i < config->joints; i++) {
         const zygos_joint_config_t *joint = &config->joint[i];
         const double own = joint->torque_sigma / joint->gear_ratio;
-        filter->torque_sigma[i] = (own > 0.0) ? own : TORQUE_STEP / __builtin_sqrt(VARIANCE_OF_STEP);
+        filter->torque_sigma[i] = (own > 0.0) ? own : ZYGOS_TORQUE_ROUNDING;
         filter->link_sigma[i] = joint->link_sigma_rad;
         filter->motor_sigma[i] = joint->motor_sigma_rad;
     }

@@ -247,9 +247,7 @@ static inline uint32_t places_of(const zygos_t *self)
 static uint64_t folded(uint64_t fold, const double *x, uint32_t n)
 {
     for (uint32_t i = 0; i < n; i++) {
-        uint64_t bits;
-        __builtin_memcpy(&bits, &x[i], sizeof bits);
-        fold ^= bits;
+        fold ^= zygos_bits_of(x[i]);
     }
     return fold;
 }

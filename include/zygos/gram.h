@@ -17,6 +17,15 @@ static inline uint32_t zygos_gram_entries(uint32_t width)
 {
     return width * (width + 1u) / 2u;
 }
+
+/// Returns the bits of a number. The compiler's own memcpy() is one load, also where a freestanding build has no other
+/// than that of a library.
+static inline uint64_t zygos_bits_of(double x)
+{
+    uint64_t bits;
+    __builtin_memcpy(&bits, &x, sizeof bits);
+    return bits;
+}
 #endif
 
 /// Adds z z^T to gram, and its row sums to sum. The three arrays must not overlap. Cost: a product and a sum for each

@@ -72,6 +72,8 @@ enum zygos_imu_status { ZYGOS_STATUS_RATE_VALID = 1, ZYGOS_STATUS_ATTITUDE_VALID
 /// constants.
 #define ZYGOS_ANGLE_UNIT (6.283185307179586476925286766559 / 1048576.0)
 #define ZYGOS_TORQUE_CODES 1e4
+/// Standard deviation of what a torque loses by the steps of its code [Nm]: a step divided by the root of 12.
+#define ZYGOS_TORQUE_ROUNDING (0.28867513459481287 / ZYGOS_TORQUE_CODES)
 #define ZYGOS_RATE_FINE_CODES 2097152.0
 #define ZYGOS_RATE_COARSE_CODES 8192.0
 

@@ -81,7 +81,7 @@ def timed(
 
 
 def hold(found: Answers, cycles: int, solving: range, silent: Sequence[int] = ()) -> None:
-    """Each SYNC has its answer, but for the silent ones, the solutions come when they should, and the median is sane."""
+    """Each SYNC but the silent ones has its answer, solutions come when they should, and the median is sane."""
     assert len(found.latency_s) == cycles
     answered = np.isfinite(found.latency_s)
     assert np.flatnonzero(~answered).tolist() == list(silent)
