@@ -14,7 +14,7 @@ from zygos.arm import Arm
 from zygos.balances import momentum
 from zygos.balances.state import State
 from zygos.dynamics.engines import engine
-from zygos.native.flight import config_of, lib
+from zygos.native.flight import config_of, ffi, lib
 
 ARMS = [("spatial", (True, False, True)), ("planar", (True, True, False)), ("planar-symmetric", (True, True))]
 
@@ -92,6 +92,24 @@ def test_the_attitude_is_the_simulated_one() -> None:
 
         expected = (frame(start).inv() * frame(now)).as_matrix()
         np.testing.assert_allclose(found[k], expected, atol=2e-7)
+
+
+@pytest.mark.parametrize("angle", [0.02, 0.5, 1.0])
+def test_the_attitude_after_steps_of_up_to_a_radian(angle: float) -> None:
+    """At a constant rate it is one rotation about its direction; the series ends at 3e-10."""
+    arm = awkward(3, 2, "spatial", (True, True))
+    config, native, state = config_of(arm), ffi.new("zygos_momentum_t *"), ffi.new("zygos_arm_state_t *")
+    rate = np.array([0.48, -0.6, 0.64]) * angle / arm.period_s
+    state.omega = rate.tolist()
+    lib.zygos_momentum_reset(native)
+    for _ in range(4):  # the rates of the instants before are those of the steps behind
+        lib.zygos_momentum_advance(native, config, state)
+    lib.zygos_momentum_new_arc(native)
+    for steps in range(4):
+        assert lib.zygos_momentum_advance(native, config, state) == 1
+        expected = Rotation.from_rotvec(steps * arm.period_s * rate).as_quat()
+        found = np.array(list(native.attitude))
+        np.testing.assert_allclose(found * np.sign(found @ expected), expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("kinetic", "flexible"), ARMS)

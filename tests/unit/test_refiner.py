@@ -14,6 +14,7 @@ from plant_support import lively
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.errors import ZygosError
 from zygos.model.model import Model
+from zygos.native.flight import config_of, ffi, lib
 from zygos.native.refiner import Refiner, Settings
 from zygos.refinement.bound import bound
 from zygos.refinement.filter import FilterNoise, NumpyFilter
@@ -227,3 +228,40 @@ def test_what_the_filter_cannot_use_is_refused() -> None:
     exact = tuple(replace(one, link_encoder=replace(one.link_encoder, quantum_rad=0.0)) for one in arm.joints)
     with pytest.raises(ZygosError, match="noise of a sensor is 0; remedy"):
         Refiner(replace(arm, joints=exact), Settings(motion.size, 1))
+
+
+RANGES = (
+    ("steps", None, 1, 1000), ("friction", None, 0, 1), ("offsets", None, 0, 1), ("zeros", None, 0, 1),
+    ("bias_walk", None, 0.0, 1e3), ("second_order", None, 0.0, 1e3), ("gyro_sigma", None, 1e-12, 1e3),
+    ("link_sigma", 1, 1e-12, 10.0), ("motor_sigma", 1, 1e-12, 10.0), ("torque_sigma", 1, 0.0, 1e6),
+    ("torque_relative_sigma", 1, 0.0, 1.0), ("size", 3, 1e-300, 1e300),
+)  # fmt: skip
+"""Member of the settings, its place, and the least and the largest value (zygos/refiner.h)."""
+
+
+@pytest.mark.parametrize(("member", "place", "least", "most"), RANGES, ids=str)
+def test_settings_are_taken_up_to_their_ends_and_not_beyond(
+    member: str, place: int | None, least: float, most: float
+) -> None:
+    arm, model, _ = lively()
+    config = config_of(arm)
+
+    def taken(value: float) -> bool:
+        settings, native = ffi.new("zygos_refiner_settings_t *"), ffi.new("zygos_refiner_t *")
+        settings.steps, settings.gyro_sigma = 2, 1e-3
+        settings.size[0 : len(arm.parameter_names)] = list(model.base_values(arm))
+        settings.link_sigma[0:2] = settings.motor_sigma[0:2] = [1e-4, 1e-4]
+        if place is None:
+            setattr(settings, member, value)
+        else:
+            getattr(settings, member)[place] = value
+        answer = lib.zygos_refiner_init(native, config, settings)
+        assert answer in (1, lib.ZYGOS_E_VALUE)
+        assert native.failed == 1  # it has not begun
+        return bool(answer == 1)
+
+    assert taken(least) and taken(most)
+    if isinstance(least, int):
+        assert not taken(most + 1) and (least == 0 or not taken(least - 1))
+    else:
+        assert not taken(most * 1.001) and not taken(math.nan) and not taken(least * 0.999 if least else -1e-300)

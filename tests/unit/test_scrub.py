@@ -396,6 +396,7 @@ def test_an_open_arc_of_momentum_rows_with_impossible_instants_is_dropped(
     arc = flight.native.momentum_sums.arc
     arc.instants = instants
     assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
+    assert flight.native.quarantined == 1
     assert flight.native.momentum_sums.count == flown.native.momentum_sums.count
     assert arc.instants == 0.0
     assert lib.zygos_scrub(flight.native, pristine) == 0
