@@ -155,11 +155,11 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config);
 int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 
 /// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. A cycle whose
-/// readings were changed in memory since they arrived is not used, and counted in invalid; the arc ends, and 1 is
-/// returned. Returns 1, or 0 when no cycle was waiting, or an enum zygos_error: with ZYGOS_E_STATE, memory was changed
-/// and the cycle still waits; call zygos_scrub(). Cost: the same for every valid cycle of a configuration, with a part
-/// of a task (accumulator.h) beside it after the end of a block or an arc. An arc that ends while the one before it is
-/// closing waits until that one is closed; until then there are no rows of its kind.
+/// readings were changed in memory since they arrived is not used, and counted in invalid; the arc ends. Returns 1 if
+/// it took a cycle, also one that is not used, 0 if none was waiting, or an enum zygos_error: with ZYGOS_E_STATE,
+/// memory was changed and the cycle still waits; call zygos_scrub(). Cost: the same for every valid cycle of a
+/// configuration, with a part of a task (accumulator.h) beside it after the end of a block or an arc. An arc that ends
+/// while the one before it is closing waits until that one is closed; until then there are no rows of its kind.
 int zygos_step(zygos_t *self);
 
 /// Processes one cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. Call it in
