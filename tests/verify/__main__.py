@@ -30,7 +30,7 @@ TESTS = tuple(
         "any_arm bandwidth blocks c_equals_numpy change check conventions counters cycle effects flight flight_joints "
         "guard guard_joints impulse in_place integrity kinematics momentum momentum_sums motors multibody propagation "
         "range_end refine refine_onboard refiner refusals scrub smoother snapshot spatial tasks telemetry text "
-        "bus/test_wire"
+        "torque_noise bus/test_wire"
     ).split()
 )
 """The quick tests that call the library in their own process, for the mutants."""
