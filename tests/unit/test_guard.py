@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import joined, part
+from flight_support import bytes_of, joined, part
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -17,6 +18,7 @@ from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_left_out
 from zygos.model.model import Model, Quantity, load_model
 from zygos.native.flight import Estimate, Flight, encode, ffi, lib
+from zygos.reference import chain
 from zygos.reference.compare import check_chain, check_cycles, check_frames
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import Trajectory, record, simulate
@@ -526,6 +528,63 @@ def test_what_noise_leaves_in_momentum_rows_is_that_of_the_arc_which_is_judged(m
     lib.zygos_guard_settle_momentum(*(ffi.addressof(flight.native, name) for name in names))
     assert guard.momentum_noise.residual == pytest.approx(solution @ noise @ solution, rel=1e-9)
     assert guard.momentum_noise.residual > 0.0
+
+
+@pytest.mark.parametrize("task", [4, 5])  # ZYGOS_MOTOR_MERGE, ZYGOS_MOTOR_SHIFT
+def test_a_merge_of_motor_blocks_is_ended_before_arcs_are_dropped(motion: Trajectory, task: int) -> None:
+    flight = Flight(replace(motion.arm, impulse_arc_s=2.0))
+    motors = flight.native.motor_sums
+    fly_until(flight, seen(motion, 0), lambda: bool(motors.task == task and (task == 5 or motors.joint == 1)))
+    assert motors.task == task
+    ended = ffi.new("zygos_motor_sums_t *", motors)
+    while ended.task in (4, 5):
+        lib.zygos_motor_sums_proceed(ended, ffi.addressof(flight.native, "config"))
+    newest = motors.block[motors.count - 1].end
+    for sums in (ffi.addressof(motors), ended):
+        lib.zygos_motor_sums_drop_after(sums, newest - 1)
+    assert motors.count == ended.count > 3 and motors.checksum == ended.checksum
+    for b in range(motors.count):
+        assert bytes_of(ffi.addressof(motors.block[b])) == bytes_of(ffi.addressof(ended.block[b]))
+
+
+def matrix_of(gram: Any, width: int) -> Floats:
+    """(width, width) from its packed lower triangle."""
+    out = np.zeros((width, width))
+    out[np.tril_indices(width)] = np.frombuffer(ffi.buffer(gram))[: width * (width + 1) // 2]
+    return out + np.tril(out, -1).T
+
+
+def test_what_arcs_are_compared_with_are_the_means_over_those_before(motion: Trajectory) -> None:
+    """Residuals and right sides of the adopted solution, for each kind of row."""
+    arm = replace(motion.arm, momentum_max_s=ARC_S)
+    cycles = part(seen(motion, 0), 0, round(0.75 * ARCS * ARC_S / arm.period_s))
+    flight = Flight(arm)
+    flight.cycles(cycles)
+    solution = flight.estimate().solution
+    assert flight.adopt()
+    guard, column_map = flight.native.guard, flight.native.column_map
+    design = chain(arm, cycles).design
+    closed = design.w[design.arc < design.arc.max()]
+    assert guard.energy.spread == pytest.approx(np.mean(closed**2), rel=0.02)  # numpy subtracts no noise from it
+    motors = flight.native.motor_sums
+    assert motors.count >= 3
+    for i in range(arm.n):
+        count, at = int(motors.column_map.count[i]), int(column_map.joint[i])
+        x = np.array([solution[column_map.place[at + c]] for c in range(count)])
+        sums = sum(matrix_of(motors.block[b].joint[i].gram, count + 1) for b in range(motors.count))
+        n = sum(motors.block[b].instants[i] for b in range(motors.count))
+        noise, ahead = matrix_of(motors.noise[i], count), np.append(x, -1.0)
+        assert guard.motor[i].residual == pytest.approx(ahead @ sums @ ahead / n + x @ noise @ x, rel=1e-6)
+        assert guard.motor[i].spread == pytest.approx(sums[-1, -1] / n, rel=1e-6)
+    momentum = flight.native.momentum_sums
+    columns, kinetic = int(momentum.columns), int(column_map.kinetic)
+    ranks = [k if k < kinetic else column_map.joint[k - kinetic] for k in range(columns)]
+    x = np.array([solution[column_map.place[rank]] for rank in ranks])
+    blocks = [momentum.block[b] for b in range(momentum.count)]
+    sums = sum(matrix_of(block.rows.gram, columns) for block in blocks) + matrix_of(momentum.noise_closed.gram, columns)
+    n = sum(block.instants for block in blocks)
+    assert momentum.count >= 3 and momentum.noise_fade == 1.0
+    assert guard.momentum.residual == pytest.approx(x @ sums @ x / n, rel=1e-6)
 
 
 def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajectory) -> None:

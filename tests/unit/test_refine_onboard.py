@@ -354,6 +354,20 @@ def test_what_is_not_refined_is_the_estimate_from_energy_rows() -> None:
     assert task.judge(flight).reason == WAITS
 
 
+def test_the_first_values_are_told_after_four_windows() -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    told = []
+    for k in range(0, 520, 20):
+        task.cycles(part(rest, slice(k, k + 20)))
+        told.append((int(task.native.windows), task.judge(flight).reason != WAITS))
+    assert {waited for windows, waited in told if windows < 4} == {False}
+    assert {waited for windows, waited in told if windows >= 4} == {True}
+    assert min(windows for windows, waited in told if waited) == 4
+
+
 def test_what_it_cannot_follow_is_refused() -> None:
     case = Case()
     with pytest.raises(ZygosError, match=r"refuses it: .*; remedy"):
@@ -495,6 +509,19 @@ def test_a_single_joint_in_a_plane_begins_with_the_rate_of_its_gyro() -> None:
     task.cycles(Cycles(np.arange(count, dtype=np.uint64), zero, zero, zero, turning, np.zeros(count, dtype=np.uint32)))
     assert task.native.moving == 1
     assert task.native.filter.x[0] == pytest.approx(0.3, rel=0.05)
+
+
+@pytest.mark.parametrize(("joints", "period_s", "every", "terms"), [
+    (1, 0.002, 1, 6), (2, 0.002, 1, 6), (3, 0.002, 20, 12), (7, 0.004, 10, 12), (3, 0.1, 1, 6)
+])  # fmt: skip
+def test_arms_of_many_joints_are_corrected_more_rarely(joints: int, period_s: float, every: int, terms: int) -> None:
+    """Every 0.04 s, over which the series needs more terms."""
+    config, settings = ffi.new("zygos_config_t *"), ffi.new("zygos_refine_settings_t *")
+    config.joints, config.period_s = joints, period_s
+    for joint in config.joint:
+        joint.gear_ratio = 100.0
+    lib.zygos_refine_defaults(settings, config)
+    assert (settings.every, settings.terms, settings.window) == (every, terms, 100)
 
 
 def test_torques_without_a_declared_noise_have_the_steps_of_their_frames() -> None:

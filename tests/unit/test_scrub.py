@@ -792,6 +792,41 @@ def test_the_weight_of_each_group_is_under_the_checksum(member: str, grounded: F
         assert grounded.estimate().validity == "valid"
 
 
+def joints_resealed(sums: Any) -> int:
+    """The checksum over what weighs the groups of joint rows, once more."""
+    checksum = 1
+    for number in (sums.segments, sums.end, sums.filling):
+        checksum = lib.zygos_checksum_number(checksum, number)
+    for double in (sums.apart_sums, sums.keep, sums.keep_group):
+        checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double *", double), 1)
+    checksum = lib.zygos_checksum_number(checksum, sums.target)
+    for number in range(lib.ZYGOS_JOINT_GROUPS_VALUE + 1):
+        weights = ffi.new("double[]", [sums.group[number].count, sums.group[number].fade])
+        checksum = lib.zygos_checksum_doubles(checksum, weights, 2)
+    return int(checksum)
+
+
+@pytest.mark.parametrize("number", [0, 3, lib.ZYGOS_JOINT_GROUPS_VALUE])
+@pytest.mark.parametrize(
+    ("member", "value"),
+    [("count", -1.0), ("count", 1e300), ("count", float("nan")), ("fade", -0.1), ("fade", 1.5), ("fade", float("nan"))],
+)
+def test_a_weight_of_a_group_that_cannot_be_is_found_also_where_the_checksum_matches(
+    member: str, value: float, number: int, grounded: Flight, ground: tuple[Flight, Cycles]
+) -> None:
+    sums, names = grounded.native.joint_sums, ("joint_sums", "config", "column_map")
+    assert joints_resealed(sums) == sums.checksum  # as the library computes it
+    assert lib.zygos_joint_sums_intact(*(ffi.addressof(grounded.native, name) for name in names))
+    setattr(sums.group[number], member, value)
+    sums.checksum = joints_resealed(sums)
+    assert not lib.zygos_joint_sums_intact(*(ffi.addressof(grounded.native, name) for name in names))
+    assert "corrupt" in grounded.estimate().reason
+    pristine = ffi.new("zygos_config_t *", ground[0].native.config)
+    assert lib.zygos_scrub(grounded.native, pristine) & (SUMS | BLOCKS)
+    assert lib.zygos_scrub(grounded.native, pristine) == 0
+    assert grounded.estimate().validity in ("valid", "refused")
+
+
 @pytest.mark.parametrize("member", ["noise", "apart"])
 def test_where_what_all_groups_share_does_not_match_joint_rows_begin_anew(
     member: str, grounded: Flight, ground: tuple[Flight, Cycles]
