@@ -116,6 +116,34 @@ def test_every_entry_fades_that_waits_for_it() -> None:
     assert sums.noise_fade == 1.0
 
 
+FADING = {
+    "accumulator": ("gram", "sum", "deviation", "instants", "square", "overlap"),
+    "motor_sums": ("instants", "total"),
+    "momentum_sums": ("instants",),
+}
+
+
+def numbers(block: object, member: str) -> list[float]:
+    found = getattr(block, member)
+    return [found] if isinstance(found, float) else list(found)
+
+
+@pytest.mark.parametrize("name", FADING)
+def test_every_number_of_a_block_fades_that_waits_for_it(name: str) -> None:
+    flight = again("spatial")
+    sums = getattr(flight.native, name)
+    block = sums.block[sums.order[1] if name == "accumulator" else 1]
+    rows = {"motor_sums": [block.joint[0]] if name == "motor_sums" else [], "momentum_sums": []}.get(name, [])
+    rows += [block.rows] if name == "momentum_sums" else []
+    read = [(block, member) for member in FADING[name]] + [(row, part) for row in rows for part in ("gram", "sum")]
+    before = [numbers(*one) for one in read]
+    assert all(any(values) for values in before)
+    block.fade = 0.5
+    getattr(lib, f"zygos_{name}_apply_fade")(ffi.addressof(sums))
+    assert block.fade == 1.0
+    assert [numbers(*one) for one in read] == [[0.5 * value for value in values] for values in before]
+
+
 @pytest.mark.parametrize("share", [0.3, 0.9, 1.0])
 def test_what_counts_blocks_counts_those_that_are_left(share: float) -> None:
     """After the oldest blocks were dropped, of which those of an arc may end together."""

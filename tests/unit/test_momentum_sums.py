@@ -30,7 +30,7 @@ from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
 from zygos.native import flight as flight_module
 from zygos.native.flight import Estimate, Flight, config_of, ffi, lib
-from zygos.runs.cycles import VOID_BEFORE, VOID_SHIFT, Cycles
+from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
 
 Floats = NDArray[np.float64]
 
@@ -150,6 +150,19 @@ def test_blocks_merge_and_lose_nothing() -> None:
     assert ends == sorted(ends)
     assert ends[-1] == cycles.sync[-1]
     assert lib.zygos_momentum_sums_check(sums) <= 1.0
+
+
+def test_no_block_of_several_arcs_is_longer_than_the_target() -> None:
+    """Arcs that differ in length by three."""
+    arm = replace(arm_of("planar", (True, True, False)), momentum_max_s=3.0)
+    cycles = wandering(arm, 4500)
+    at = 0
+    for number in range(37):
+        at += (60, 150, 90, 170)[number % 4]
+        cycles.flags[at] = BREAK_BEFORE
+    blocks, _, (sums, _) = closed(arm, cycles)
+    instants = [sums.block[b].instants for b in range(sums.count)]
+    assert len(blocks) < 16 and max(instants) <= sums.target < sum(instants) / 3.0
 
 
 def test_doubtful_cycles_take_their_arcs_along() -> None:
