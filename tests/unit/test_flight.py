@@ -29,6 +29,7 @@ from flight_support import (
 )  # fmt: skip
 from numpy.typing import NDArray
 from reference_support import make_arm
+from scipy.spatial.transform import Rotation
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
@@ -136,6 +137,14 @@ def test_configuration_refused_and_nothing_changed(arm: Arm, code: int, path: st
     set_(path, value)(config)
     assert lib.zygos_init(flight.native, config) == code
     assert bytes_of(flight.native) == before
+
+
+def test_any_rotation_of_the_gyro_is_taken_and_no_reflection(arm: Arm) -> None:
+    native, config = ffi.new("zygos_t *"), config_of(arm)
+    for rotation in Rotation.random(40, random_state=0).as_matrix():
+        for sign, code in ((1.0, 1), (-1.0, lib.ZYGOS_E_VALUE)):
+            config.imu_to_base = (sign * rotation).ravel().tolist()
+            assert lib.zygos_init(native, config) == code
 
 
 def test_every_refusal_has_a_configuration(arm: Arm) -> None:
