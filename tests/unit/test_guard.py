@@ -516,11 +516,7 @@ def test_what_noise_leaves_in_momentum_rows_is_that_of_the_arc_which_is_judged(m
     guard, momentum, column_map = flight.native.guard, flight.native.momentum_sums, flight.native.column_map
     fly_until(flight, seen(motion, 0), lambda: bool(momentum.task == judge))
     columns = int(momentum.columns)
-    noise = np.zeros((columns, columns))
-    lower = np.tril_indices(columns)
-    closing = momentum.noise_arc[(momentum.parity & 1) ^ 1]
-    noise[lower] = np.frombuffer(ffi.buffer(closing.gram))[: len(lower[0])]
-    noise += np.tril(noise, -1).T
+    noise = matrix_of(momentum.noise_arc[(momentum.parity & 1) ^ 1].gram, columns)
     kinetic = int(column_map.kinetic)
     ranks = [k if k < kinetic else column_map.joint[k - kinetic] for k in range(columns)]
     solution = np.array([guard.solution[column_map.place[rank]] for rank in ranks])

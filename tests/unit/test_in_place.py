@@ -117,7 +117,7 @@ def test_every_entry_fades_that_waits_for_it() -> None:
 
 
 FADING = {
-    "accumulator": ("gram", "sum", "deviation", "instants", "square", "overlap"),
+    "accumulator": ("deviation", "instants", "square", "overlap"),
     "motor_sums": ("instants", "total"),
     "momentum_sums": ("instants",),
 }
@@ -133,9 +133,8 @@ def test_every_number_of_a_block_fades_that_waits_for_it(name: str) -> None:
     flight = again("spatial")
     sums = getattr(flight.native, name)
     block = sums.block[sums.order[1] if name == "accumulator" else 1]
-    rows = {"motor_sums": [block.joint[0]] if name == "motor_sums" else [], "momentum_sums": []}.get(name, [])
-    rows += [block.rows] if name == "momentum_sums" else []
-    read = [(block, member) for member in FADING[name]] + [(row, part) for row in rows for part in ("gram", "sum")]
+    rows = block.joint[0] if name == "motor_sums" else block.rows if name == "momentum_sums" else block
+    read = [(block, member) for member in FADING[name]] + [(rows, member) for member in ("gram", "sum")]
     before = [numbers(*one) for one in read]
     assert all(any(values) for values in before)
     block.fade = 0.5

@@ -363,9 +363,9 @@ def test_the_first_values_are_told_after_four_windows() -> None:
     for k in range(0, 520, 20):
         task.cycles(part(rest, slice(k, k + 20)))
         told.append((int(task.native.windows), task.judge(flight).reason != WAITS))
-    assert {waited for windows, waited in told if windows < 4} == {False}
-    assert {waited for windows, waited in told if windows >= 4} == {True}
-    assert min(windows for windows, waited in told if waited) == 4
+    assert {known for windows, known in told if windows < 4} == {False}
+    assert {known for windows, known in told if windows >= 4} == {True}
+    assert min(windows for windows, known in told if known) == 4
 
 
 def test_what_it_cannot_follow_is_refused() -> None:
