@@ -791,6 +791,21 @@ def test_the_level_has_bounds(level: float, bound: float) -> None:
     assert task.native.level == bound
 
 
+def test_a_window_begins_with_nothing() -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm, Onboard(window=20))
+    task.start(flight)
+    begun = 0
+    for k in range(50):
+        task.cycles(part(rest, slice(k, k + 1)))
+        native = task.native
+        sums = [*native.count, *native.square, *native.largest, native.score, native.share]
+        begun += native.used > 0 and native.used % 20 == 0
+        assert any(sums) == (native.used % 20 != 0)
+    assert begun >= 2
+
+
 def test_torques_noisier_than_declared_widen_what_is_stated() -> None:
     case = Case()
     flight, rest = learned(case.arm, flown(case, 0))

@@ -260,6 +260,20 @@ def test_what_tells_which_blocks_of_other_rows_there_are_is_flipped_back(
         assert bytes_of(ffi.addressof(flight.native, kind)) == bytes_of(ffi.addressof(flown.native, kind))
 
 
+@pytest.mark.parametrize("kind", ["accumulator", "motor_sums", "momentum_sums"])
+@pytest.mark.parametrize(("change", "value"), [("forget", 0.5), ("drop_until", 0), ("drop_after", 1 << 40)])
+def test_it_is_flipped_back_before_the_blocks_change(
+    flight: Flight, flown: Flight, kind: str, change: str, value: float
+) -> None:
+    """The checksum that is made behind a change must not confirm what was wrong before it."""
+    whole = Flight(flown.arm)
+    ffi.memmove(whole.native, flown.native, ffi.sizeof("zygos_t"))
+    flip(getattr(flight.native, kind), "target", 2)
+    for one in (whole, flight):
+        getattr(lib, f"zygos_{kind}_{change}")(ffi.addressof(one.native, kind), value)
+    assert bytes_of(ffi.addressof(flight.native, kind)) == bytes_of(ffi.addressof(whole.native, kind))
+
+
 def closed_block(native: Any) -> Any:
     """The third block of the energy rows."""
     return native.accumulator.block[native.accumulator.order[2]]

@@ -228,3 +228,31 @@ def test_bodies_without_their_rotors_must_have_energy_in_every_motion(seed: int)
         np.testing.assert_allclose(estimate.value, parameters, rtol=1e-6)
         assert estimate.validity == verdict
         assert (least > 0.0) or "not physical" in estimate.reason
+
+
+@pytest.mark.parametrize("least", [0.01, -0.01])
+def test_of_two_directions_on_a_fixed_base_the_sum_must_have_energy(least: float) -> None:
+    """Only the sum of their squares is known, not each of them, nor what is between them."""
+    arm, _ = random_arm(8, 3, "fixed")
+    arm = replace(arm, gravity=(0.0, 0.0, 0.0), impulse_arc_s=0.0, compensate_every=0, period_s=0.02)
+    cycles = wandering(arm, 2500)
+    t = arm.period_s * np.arange(len(cycles))[:, None]
+    common = 0.4 * np.sin([0.37, 0.83, 1.9] * t)
+    cycles.q[:] += common
+    cycles.theta[:] = cycles.q + 0.05 * np.sin([2.1, 3.3, 4.7] * t) + 0.03 * np.cos([1.2, 2.6, 3.9] * t)
+    size = gram.directions(arm)
+    root = np.random.default_rng(0).normal(size=(size, size))
+    bodies = root @ root.T + np.eye(size)
+    needed = bodies[:2, 2:] @ np.linalg.solve(bodies[2:, 2:], bodies[2:, :2])
+    assert abs(needed[0, 1]) > abs(least)
+    bodies[:2, :2] = needed + 0.5 * least * np.eye(2)
+    rotors = np.array([1.0, 2.0, 3.0])
+    drives = {"Im": rotors, "k": np.full(3, 1e3), "b": np.full(3, 50.0)}
+    kinetic = gram.to_parameters(arm, bodies + gram.of_rotors(arm, rotors))
+    parameters = np.append(kinetic, [drives[kind][i] for kind, i in arm.full_joint_parameters])
+    flight = Flight(arm)
+    flight.cycles(balanced(arm, cycles, parameters))
+    estimate = flight.estimate()
+    np.testing.assert_allclose(estimate.value, parameters, rtol=1e-6)
+    assert (estimate.validity == "valid") == (least > 0.0)
+    assert (least > 0.0) or "not physical" in estimate.reason
