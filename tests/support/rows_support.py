@@ -62,14 +62,14 @@ def run(name: str) -> tuple[Arm, Cycles, Floats, tuple[Effect, ...]]:
 
 
 def awkward(seed: int, joints: int, kinetic: str, flexible: Sequence[bool], latch_us: int = 0) -> Arm:
-    """A random arm with encoders of different noise that latch late, and a gyro whose noise shows."""
+    """A random arm with encoders of different noise that latch late, and a gyro whose noise shows and latches sooner."""
     arm, _ = random_arm(seed, joints, "free", kinetic, flexible)  # type: ignore[arg-type]
     changed = []
     for i, joint in enumerate(arm.joints):
         motor = Encoder(quantum_rad=2e-3 * (1 + i), latch_us=latch_us // 2)
         link = Encoder(quantum_rad=1e-3 * (1 + i)) if joint.flexible else motor
         changed.append(replace(joint, gear_ratio=2.0 + i, latch_us=latch_us, link_encoder=link, motor_encoder=motor))
-    imu = replace(arm.imu, rate_sigma=0.02, latch_us=latch_us)
+    imu = replace(arm.imu, rate_sigma=0.02, latch_us=latch_us // 4)
     return replace(arm, joints=tuple(changed), imu=imu, period_s=0.02)
 
 

@@ -581,6 +581,7 @@ def test_what_arcs_are_compared_with_are_the_means_over_those_before(motion: Tra
     n = sum(block.instants for block in blocks)
     assert momentum.count >= 3 and momentum.noise_fade == 1.0
     assert guard.momentum.residual == pytest.approx(x @ sums @ x / n, rel=1e-6)
+    assert guard.momentum.spread == pytest.approx(x**2 @ np.diag(sums) / n, rel=1e-9)
 
 
 def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajectory) -> None:

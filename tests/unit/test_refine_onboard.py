@@ -708,7 +708,10 @@ def test_where_a_cycle_was_lost_the_newest_readings_are_used() -> None:
 
 @pytest.mark.parametrize(
     ("place", "value"),
-    [("rate", 1e7), ("rate", -1e7), ("rate", float("nan")), ("inertia", float("nan")), ("inertia", -1e12)],
+    [
+        ("angle", 1e7), ("rate", 1e7), ("rate", -1e7), ("rate", float("nan")), ("inertia", float("nan")),
+        ("inertia", -1e12),
+    ],
 )
 def test_a_state_that_cannot_be_ends_the_refinement(place: str, value: float) -> None:
     """What memory errors and a model that is far off have in common."""
@@ -718,7 +721,8 @@ def test_a_state_that_cannot_be_ends_the_refinement(place: str, value: float) ->
     task.start(flight)
     task.cycles(part(rest, slice(0, 20)))
     assert task.native.filter.failed == 0
-    task.native.filter.x[6 if place == "rate" else task.native.filter.fast] = value
+    at = {"angle": 0, "rate": 6, "inertia": task.native.filter.fast}
+    task.native.filter.x[at[place]] = value
     task.cycles(part(rest, slice(20, 24)))
     assert task.native.filter.failed == 1
     assert task.judge(flight).reason == FAILED

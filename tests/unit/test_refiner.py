@@ -10,6 +10,7 @@ import pytest
 from arm_support import random_arm
 from numpy.typing import NDArray
 from plant_support import lively
+from scipy.linalg import block_diag
 
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.errors import ZygosError
@@ -47,6 +48,15 @@ def start(arm: Arm, model: Model, read: tuple[Floats, ...], seed: int) -> tuple[
     return motion, x, np.concatenate([sigma, np.zeros(len(off))]), np.diag((1e-3 * motion.size) ** 2)
 
 
+def root_of(refiner: Refiner) -> Floats:
+    """The upper triangular root of the covariance of all entries, in the filter's units."""
+    count = int(refiner._native.entries)
+    root = np.zeros((count, count))
+    packed = np.frombuffer(ffi.buffer(refiner._native.root), dtype=np.float64)
+    root.T[np.tril_indices(count)] = packed[: count * (count + 1) // 2]
+    return root
+
+
 def native(arm: Arm, motion: FlexibleMotion, steps: int, **more: bool) -> Refiner:
     return Refiner(arm, Settings(motion.size, steps, [RELATIVE] * arm.n, **more))
 
@@ -60,6 +70,18 @@ def swinging(arm: Arm, duration_s: float) -> Scenario:
         scenario, manoeuvre=sines, duration_s=duration_s, initial_angles_rad=angles,
         controller=Controller(kp=50.0, kd=20.0), angular_momentum_nms=0.3,
     )  # fmt: skip
+
+
+def test_it_begins_with_the_correlations_of_the_parameters() -> None:
+    arm, model, scenario = lively()
+    motion, x, sigma, _ = start(arm, model, readings(arm, model, replace(scenario, duration_s=0.2)), 0)
+    p = len(motion.values)
+    relative = np.random.default_rng(0).normal(size=(p, 2 * p))
+    relative = 1e-6 * relative @ relative.T
+    refiner = native(arm, motion, 2)
+    refiner.start(x, sigma, relative * np.outer(motion.size, motion.size))
+    root, fast = root_of(refiner), motion.states + motion.base_rates
+    np.testing.assert_allclose(root @ root.T, block_diag(np.diag(sigma[:fast] ** 2), relative), rtol=1e-9, atol=1e-18)
 
 
 @pytest.mark.parametrize(("base", "kinetic"), [("free", "planar"), ("free", "spatial"), ("fixed", "spatial")])
