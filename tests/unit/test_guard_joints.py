@@ -204,6 +204,33 @@ def test_a_state_goes_on_with_its_running_solution_and_what_was_set_aside() -> N
     np.testing.assert_array_equal(other.drift().deviation, flight.drift().deviation)
 
 
+def test_a_change_is_told_where_next_to_no_noise_is_left() -> None:
+    """Other motions then leave over what the approximations do, of which a thousandth of the signal is let pass."""
+    arm, model = short_arm(2)
+    at = round(45.0 / arm.period_s)
+    q, tau = torque_of(arm, model, 0, 80.0)
+    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
+    exact = np.concatenate([tau[:at], loaded[at:]])
+    angle = q + 1e-3 * (seen(arm, q, exact, 0).q - q)
+    flight = flight_of(arm, model, energy_rows=False)
+    watched(flight, replace(seen(arm, q, exact, 0), q=angle, theta=angle, tau=exact))
+    assert any(name.endswith("2") for name in flight.drift().changed)
+
+
+def test_segments_that_another_arm_does_not_explain_either_are_not_compared() -> None:
+    """The torque of one joint is nearly noise from some time on: many segments contradict, and no parameter is said to differ."""
+    arm, model = short_arm(2)
+    cycles = seen(arm, *torque_of(arm, model, 0, 80.0), 0)
+    at = round(45.0 / arm.period_s)
+    tau = cycles.tau.copy()
+    tau[at:, 1] += np.random.default_rng(0).normal(scale=np.std(tau[:, 1]), size=len(tau) - at)
+    flight = flight_of(arm, model, energy_rows=False)
+    estimate, _ = watched(flight, replace(cycles, tau=tau))
+    assert estimate.reason.startswith("the arm changed")
+    drift = flight.drift()
+    assert (drift.changed, drift.largest) == ((), 0.0)
+
+
 def test_an_estimate_of_another_flight_judges_the_segments_of_one_that_has_none() -> None:
     """Where it has residuals; without them every segment is admitted."""
     arm, model = short_arm(2)
