@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from flight_support import bytes_of, joined, part
 from numpy.typing import NDArray
+from rows_support import effect
 from scipy import stats
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, TorqueLaw, load_arm
+from zygos.effects import Effect
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_left_out
 from zygos.model.model import Model, Quantity, load_model
@@ -550,11 +552,14 @@ def matrix_of(gram: Any, width: int) -> Floats:
     return out + np.tril(out, -1).T
 
 
-def test_what_arcs_are_compared_with_are_the_means_over_those_before(motion: Trajectory) -> None:
+@pytest.mark.parametrize("effects", [(), (effect("motor_viscous", "shoulder"), effect("torque_offset", "elbow"))])
+def test_what_arcs_are_compared_with_are_the_means_over_those_before(
+    motion: Trajectory, effects: tuple[Effect, ...]
+) -> None:
     """Residuals and right sides of the adopted solution, for each kind of row."""
     arm = replace(motion.arm, momentum_max_s=ARC_S)
     cycles = part(seen(motion, 0), 0, round(0.75 * ARCS * ARC_S / arm.period_s))
-    flight = Flight(arm)
+    flight = Flight(arm, effects)
     flight.cycles(cycles)
     solution = flight.estimate().solution
     assert flight.adopt()
@@ -566,7 +571,8 @@ def test_what_arcs_are_compared_with_are_the_means_over_those_before(motion: Tra
     assert motors.count >= 3
     for i in range(arm.n):
         count, at = int(motors.column_map.count[i]), int(column_map.joint[i])
-        x = np.array([solution[column_map.place[at + c]] for c in range(count)])
+        further = [column_map.effects + e for e in list(motors.column_map.effect[i])[: count - 3]]
+        x = np.array([solution[column_map.place[column]] for column in (at, at + 1, at + 2, *further)])
         sums = sum(matrix_of(motors.block[b].joint[i].gram, count + 1) for b in range(motors.count))
         n = sum(motors.block[b].instants[i] for b in range(motors.count))
         noise, ahead = matrix_of(motors.noise[i], count), np.append(x, -1.0)

@@ -229,6 +229,25 @@ def test_segments_that_another_arm_does_not_explain_either_are_not_compared() ->
     assert estimate.reason.startswith("the arm changed")
     drift = flight.drift()
     assert (drift.changed, drift.largest) == ((), 0.0)
+    deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
+    assert lib.zygos_detect_change(flight._work, flight._before, deviation) == 0
+
+
+def test_segments_that_are_set_aside_leave_their_noise_out_of_the_estimate() -> None:
+    arm, model = short_arm(2)
+    q, tau = torque_of(arm, model, 0, 80.0)
+    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
+    at = round(45.0 / arm.period_s)
+    cycles = seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0)
+    flight = flight_of(arm, model)
+    sums, aside = flight.native.joint_sums, lib.ZYGOS_JOINT_GROUPS_VALUE
+    seconds = round(10.0 / arm.period_s)
+    watched(flight, part(cycles, 0, at + seconds))
+    noise, before = bytes(ffi.buffer(sums.noise.gram)), sums.group[aside].count
+    assert any(sums.noise.gram) and before > 0.0
+    watched(flight, part(cycles, at + seconds, at + 2 * seconds))
+    assert sums.group[aside].count > before
+    assert bytes(ffi.buffer(sums.noise.gram)) == noise
 
 
 def test_an_estimate_of_another_flight_judges_the_segments_of_one_that_has_none() -> None:
