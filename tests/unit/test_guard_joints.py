@@ -218,7 +218,7 @@ def test_a_change_is_told_where_next_to_no_noise_is_left() -> None:
 
 
 def test_segments_that_another_arm_does_not_explain_either_are_not_compared() -> None:
-    """The torque of one joint is nearly noise from some time on: many segments contradict, and no parameter is said to differ."""
+    """From some time on, one torque is nearly noise: many segments contradict, and no parameter is said to differ."""
     arm, model = short_arm(2)
     cycles = seen(arm, *torque_of(arm, model, 0, 80.0), 0)
     at = round(45.0 / arm.period_s)

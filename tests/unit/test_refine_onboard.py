@@ -709,7 +709,11 @@ def test_where_a_cycle_was_lost_the_newest_readings_are_used() -> None:
 @pytest.mark.parametrize(
     ("place", "value"),
     [
-        ("angle", 1e7), ("rate", 1e7), ("rate", -1e7), ("rate", float("nan")), ("inertia", float("nan")),
+        ("angle", 1e7),
+        ("rate", 1e7),
+        ("rate", -1e7),
+        ("rate", float("nan")),
+        ("inertia", float("nan")),
         ("inertia", -1e12),
     ],
 )

@@ -24,7 +24,7 @@ PLACE = BUILD / "mutants"
 WANTED = 0.85
 """Share of the mutants, without the equivalent ones, that the tests must kill."""
 EQUIVALENT, ACCEPTED, LACKING = "equivalent", "accepted", "needs a test"
-BUDGET_S = 20.0
+BUDGET_S = 60.0
 """Processor time of the tests that are tried with one mutant, as they take it with unchanged code."""
 JUDGEMENTS = (EQUIVALENT, ACCEPTED, LACKING)
 """No input shows it; it shows in a way that no test should hold; a test is missing."""
