@@ -62,7 +62,7 @@ def run(name: str) -> tuple[Arm, Cycles, Floats, tuple[Effect, ...]]:
 
 
 def awkward(seed: int, joints: int, kinetic: str, flexible: Sequence[bool], latch_us: int = 0) -> Arm:
-    """A random arm; encoders of different noise that latch late, and a gyro whose noise shows and that latches sooner."""
+    """A random arm; encoders of different noise that latch late, and a gyro that is noisy and latches sooner."""
     arm, _ = random_arm(seed, joints, "free", kinetic, flexible)  # type: ignore[arg-type]
     changed = []
     for i, joint in enumerate(arm.joints):
