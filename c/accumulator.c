@@ -12,12 +12,16 @@
 /* The newest blocks of the open arc that may still be added to: two of the open segment, and one of the segment before,
    whose last rows may wait in a buffer. */
 #define IN_USE 3u
+/* Up to this width what follows the last row that is verified costs little beside the rest of a cycle, and is no part
+   of its own. */
+#define NARROW 16u
 /* Additions to the noise in an instant: each sensor by itself, and the rounding is alike as long as the arm rests. */
 #define NOISE_ADDS 8.0
 
 _Static_assert(ZYGOS_MIN_BLOCKS + 2u + ZYGOS_SPARE_BLOCKS <= ZYGOS_MAX_BLOCKS,
                "an arc that begins needs two blocks while another one is closing");
 _Static_assert(ZYGOS_MAX_BLOCKS <= 128, "places are numbers of eight bits");
+_Static_assert(ZYGOS_BUFFER_ROWS == 8, "add_matrix_row() has eight products");
 
 /* What rounding may make of a sum of so many weights, relative to it. A flipped bit that changes less does no harm. */
 static double rounded(double instants)
@@ -205,7 +209,8 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
         self->order[r] = (uint8_t)r;
     }
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        self->buffer[b].shared = ZYGOS_BUFFER_ROWS;
+        self->buffer[b].shared = ZYGOS_BUFFER_SLICES;
+        self->buffer[b].row = self->width;
     }
     reseal(self);
 }
@@ -223,7 +228,8 @@ static void clear_buffer(zygos_accumulator_t *self, zygos_row_buffer_t *buffer)
     memset(buffer->sum, 0, self->width * sizeof buffer->sum[0]);
     buffer->instants = 0.0;
     buffer->variance = 0.0;
-    buffer->shared = ZYGOS_BUFFER_ROWS;
+    buffer->shared = ZYGOS_BUFFER_SLICES;
+    buffer->row = self->width;
 }
 
 /* ---------------------------------------------------------------- which blocks there are */
@@ -264,11 +270,13 @@ static void append_block(zygos_accumulator_t *self)
 
 /* ---------------------------------------------------------------- tasks */
 
-/* How many entries a part of a task has. */
+/* How many entries a part of a task has. To eliminate the constant costs less than to verify; what follows the last row
+   that is verified takes a cycle of its own. */
 static uint32_t entries_of_part(const zygos_accumulator_t *self)
 {
     const uint32_t size = zygos_gram_entries(self->width);
-    const uint32_t part = (size + ZYGOS_PASS_CYCLES - 1u) / ZYGOS_PASS_CYCLES;
+    const uint32_t cycles = ZYGOS_PASS_CYCLES - ((self->task == ZYGOS_TASK_CENTRE) ? 1u : 0u);
+    const uint32_t part = (size + cycles - 1u) / cycles;
     return (part > ZYGOS_LEAST_PART) ? part : ZYGOS_LEAST_PART;
 }
 
@@ -417,8 +425,8 @@ static bool is_shared_out(const zygos_accumulator_t *self)
 {
     uint32_t waiting = 0; /* counted without branches: the cost is the same whichever buffer waits */
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        waiting +=
-            (uint32_t)(self->buffer[b].parity != self->parity) * (uint32_t)(self->buffer[b].shared < ZYGOS_BUFFER_ROWS);
+        waiting += (uint32_t)(self->buffer[b].parity != self->parity) *
+                   (uint32_t)(self->buffer[b].shared < ZYGOS_BUFFER_SLICES);
     }
     return waiting == 0;
 }
@@ -553,11 +561,13 @@ static void proceed_verify(zygos_accumulator_t *self)
         proceed_verify_noise(self);
         return;
     }
-    const uint32_t end = zygos_accumulator_part(self);
     zygos_block_t *block = at(self, first_of(self->places));
-    zygos_gram_scan(&self->scan, block->gram, self->row, end);
-    if (!task_ends(self, end)) {
-        return;
+    if (self->row < self->width) {
+        const uint32_t end = zygos_accumulator_part(self);
+        zygos_gram_scan(&self->scan, block->gram, self->row, end);
+        if (!task_ends(self, end) || (self->width > NARROW)) {
+            return;
+        }
     }
     const bool whole = weighs_what_it_should(block, self->width, self->overlap) &&
                        (zygos_gram_scanned(&self->scan, block->gram, self->width, block->sum, block->instants) <= 1.0);
@@ -590,24 +600,43 @@ static void proceed_verify(zygos_accumulator_t *self)
 
 /* G - s m^T - m s^T + n m m^T, entry by entry, and its row sums; s is the last row of G, which changes last and each
    entry by itself. */
+/* Eliminates the constant from row i of a block, and adds the row and its column to the row sums. s: the sums of the
+   columns of n rows. Two entries at a time. */
+static void centre_row(double *restrict entry, double *restrict sum, const double *restrict mean,
+                       const double *restrict s, double n, uint32_t i)
+{
+    const double own = mean[i];
+    const double deviation = s[i] - n * own;
+    double even = 0.0;
+    double odd = 0.0;
+    uint32_t j = 0;
+    for (; j + 1u < i; j += 2u) {
+        const double left = entry[j] - (deviation * mean[j] + own * s[j]);
+        const double right = entry[j + 1u] - (deviation * mean[j + 1u] + own * s[j + 1u]);
+        entry[j] = left;
+        entry[j + 1u] = right;
+        sum[j] += left;
+        sum[j + 1u] += right;
+        even += left;
+        odd += right;
+    }
+    if (j < i) {
+        entry[j] -= deviation * mean[j] + own * s[j];
+        sum[j] += entry[j];
+        even += entry[j];
+    }
+    entry[i] -= deviation * own + own * s[i];
+    sum[i] += even + odd + entry[i];
+}
+
 static void proceed_centre(zygos_accumulator_t *self)
 {
     const uint32_t end = zygos_accumulator_part(self);
     zygos_block_t *block = at(self, first_of(self->places));
-    const double *mean = self->mean;
-    const double *s = &block->gram[zygos_gram_entries(self->width - 1u)];
-    const double n = s[self->width - 1u];
-    double *entry = &block->gram[zygos_gram_entries(self->row)];
+    double last[ZYGOS_MAX_ROW]; /* the last row, which changes too */
+    memcpy(last, &block->gram[zygos_gram_entries(self->width - 1u)], self->width * sizeof last[0]);
     for (uint32_t i = self->row; i < end; i++) {
-        const double si = s[i];
-        double row = 0.0;
-        for (uint32_t j = 0; j <= i; j++) {
-            *entry += n * mean[i] * mean[j] - si * mean[j] - mean[i] * s[j];
-            row += *entry;
-            block->sum[j] += (j < i) ? *entry : 0.0;
-            entry++;
-        }
-        block->sum[i] += row;
+        centre_row(&block->gram[zygos_gram_entries(i)], block->sum, self->mean, last, last[self->width - 1u], i);
     }
     if (task_ends(self, end)) {
         block->end = self->closing_end;
@@ -743,65 +772,119 @@ bool zygos_accumulator_rests(const zygos_accumulator_t *self)
 
 /* ---------------------------------------------------------------- rows */
 
-/* Of so many entries, those of a slice: an even number. The last slice reaches beyond the entries, where all is 0. */
-static uint32_t slice_of(uint32_t entries)
+/* Adds to one row of the matrix of two blocks, by their weights, the products of the rows in a buffer and, where noise
+   is declared, what is subtracted for it. Two entries at a time, of eight instants each. Inlined, because with a branch
+   in the loop it would cost half as much more. */
+__attribute__((always_inline)) static inline void add_matrix_row(zygos_row_buffer_t *restrict buffer,
+                                                                 zygos_block_t *restrict falling,
+                                                                 zygos_block_t *restrict rising, uint32_t i, bool noisy)
 {
-    return 2u * ((entries + 2u * ZYGOS_BUFFER_ROWS - 1u) / (2u * ZYGOS_BUFFER_ROWS));
-}
-
-/* Moves an even number of entries of a buffer to its two blocks, by their weights. */
-static void move(double *restrict buffer, double *restrict falling, double *restrict rising, double early, double late,
-                 uint32_t count)
-{
-    for (const double *end = buffer + count; buffer != end; buffer += 2) {
-        falling[0] += early * buffer[0];
-        falling[1] += early * buffer[1];
-        rising[0] += late * buffer[0];
-        rising[1] += late * buffer[1];
-        buffer[0] = 0.0;
-        buffer[1] = 0.0;
-        falling += 2;
-        rising += 2;
+    const double *x = &buffer->pair[i / 2u][0][i % 2u];
+    const double x0 = x[0];
+    const double x1 = x[2];
+    const double x2 = x[4];
+    const double x3 = x[6];
+    const double x4 = x[8];
+    const double x5 = x[10];
+    const double x6 = x[12];
+    const double x7 = x[14];
+    const double early = buffer->early;
+    const double late = buffer->late;
+    const double *t = buffer->total;
+    const double *z = buffer->pair[0][0];
+    double *noise = &buffer->gram[zygos_gram_entries(i)];
+    double *older = &falling->gram[zygos_gram_entries(i)];
+    double *newer = &rising->gram[zygos_gram_entries(i)];
+    for (const double *end = older + (i + 1u) / 2u * 2u; older != end; older += 2) {
+        double left = x0 * z[0] + x1 * z[2] + x2 * z[4] + x3 * z[6] + x4 * z[8] + x5 * z[10] + x6 * z[12] + x7 * z[14];
+        double right = x0 * z[1] + x1 * z[3] + x2 * z[5] + x3 * z[7] + x4 * z[9] + x5 * z[11] + x6 * z[13] + x7 * z[15];
+        if (noisy) {
+            left += noise[0];
+            right += noise[1];
+            noise[0] = 0.0;
+            noise[1] = 0.0;
+            noise += 2;
+        }
+        older[0] += early * left;
+        older[1] += early * right;
+        newer[0] += late * left;
+        newer[1] += late * right;
+        newer += 2;
+        z += 2u * ZYGOS_BUFFER_ROWS;
     }
+    double last = x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 + x4 * x4 + x5 * x5 + x6 * x6 + x7 * x7;
+    double sum = x0 * t[0] + x1 * t[1] + x2 * t[2] + x3 * t[3] + x4 * t[4] + x5 * t[5] + x6 * t[6] + x7 * t[7];
+    if (noisy) {
+        sum += buffer->sum[i];
+        buffer->sum[i] = 0.0;
+    }
+    if (i % 2u == 0) {
+        if (noisy) {
+            last += noise[0];
+            noise[0] = 0.0;
+        }
+        older[0] += early * last;
+        newer[0] += late * last;
+    }
+    falling->sum[i] += early * sum;
+    rising->sum[i] += late * sum;
 }
 
-/* Adds the next slices of a buffer to its blocks. */
+/* Adds the next slices of a buffer to its blocks. A slice ends with that row of the matrix which is the nearest to its
+   share of all entries. */
 static void add_slices(zygos_accumulator_t *self, zygos_row_buffer_t *buffer, uint32_t slices)
 {
-    const uint32_t entries = slice_of(zygos_gram_entries(self->width));
-    const uint32_t sums = slice_of(self->width);
-    const uint32_t entry = buffer->shared * entries;
-    const uint32_t row = buffer->shared * sums;
     zygos_block_t *falling = at(self, first_of(buffer->places));
     zygos_block_t *rising = at(self, second_of(buffer->places));
-    move(&buffer->gram[entry], &falling->gram[entry], &rising->gram[entry], buffer->early, buffer->late,
-         slices * entries);
-    move(&buffer->sum[row], &falling->sum[row], &rising->sum[row], buffer->early, buffer->late, slices * sums);
     buffer->shared += slices;
-}
-
-/* Those of the buffers that wait, the older one first. */
-static void share_out_slices(zygos_accumulator_t *self, uint32_t slices)
-{
-    uint32_t older = self->filling;
-    for (uint32_t b = 1; b < ZYGOS_ROW_BUFFERS; b++) {
-        older = (older + 1u < ZYGOS_ROW_BUFFERS) ? older + 1u : 0u;
-        zygos_row_buffer_t *buffer = &self->buffer[older];
-        if (buffer->shared < ZYGOS_BUFFER_ROWS) {
-            const uint32_t left = ZYGOS_BUFFER_ROWS - buffer->shared;
-            add_slices(self, buffer, (slices < left) ? slices : left);
+    const uint32_t most = zygos_gram_entries(self->width) * buffer->shared;
+    uint32_t row = buffer->row;
+    for (; (row < self->width) && (ZYGOS_BUFFER_SLICES / 2u * (row + 1u) * (row + 1u) <= most); row++) {
+        if (self->noisy != 0) {
+            add_matrix_row(buffer, falling, rising, row, true);
+        } else {
+            add_matrix_row(buffer, falling, rising, row, false);
         }
     }
+    buffer->row = row;
 }
 
-void zygos_accumulator_share_slice(zygos_accumulator_t *self)
+/* The buffers behind the one that is filled, the older one first. */
+static zygos_row_buffer_t *behind(zygos_accumulator_t *self, uint32_t step)
 {
-    share_out_slices(self, 1u);
+    const uint32_t b = self->filling + step;
+    return &self->buffer[(b < ZYGOS_ROW_BUFFERS) ? b : b - ZYGOS_ROW_BUFFERS];
+}
+
+static uint32_t left_of(const zygos_row_buffer_t *buffer)
+{
+    return ZYGOS_BUFFER_SLICES - buffer->shared;
+}
+
+/* The next slices of the buffers that wait, two of one that waits alone. Returns the number of buffers. */
+static uint32_t share_slices(zygos_accumulator_t *self, uint32_t of_two)
+{
+    zygos_row_buffer_t *older = behind(self, 1u);
+    zygos_row_buffer_t *newer = behind(self, 2u);
+    const uint32_t waiting = (left_of(older) > 0 ? 1u : 0u) + (left_of(newer) > 0 ? 1u : 0u);
+    const uint32_t slices = (waiting > 1u) ? of_two : 2u;
+    const uint32_t first = (left_of(older) < slices) ? left_of(older) : slices;
+    const uint32_t rest = slices - first;
+    add_slices(self, older, first);
+    add_slices(self, newer, (left_of(newer) < rest) ? left_of(newer) : rest);
+    return waiting;
+}
+
+bool zygos_accumulator_share_slices(zygos_accumulator_t *self)
+{
+    return share_slices(self, 2u) > 0;
 }
 
 void zygos_accumulator_share_out(zygos_accumulator_t *self)
 {
-    share_out_slices(self, ZYGOS_BUFFER_ROWS);
+    for (uint32_t step = 1; step < ZYGOS_ROW_BUFFERS; step++) {
+        add_slices(self, behind(self, step), left_of(behind(self, step)));
+    }
 }
 
 /* Makes so many blocks ready at once, where the tasks had no time to: after arcs of a few instants. */
@@ -842,10 +925,23 @@ static void next_segment(zygos_accumulator_t *self)
     reseal(self);
 }
 
+/* Of an arc that ends before its buffer is full. */
+static void leave_empty(zygos_row_buffer_t *buffer, uint32_t instant, uint32_t width)
+{
+    for (uint32_t i = 0; i < (width + 1u) / 2u; i++) {
+        buffer->pair[i][instant][0] = 0.0;
+        buffer->pair[i][instant][1] = 0.0;
+    }
+    buffer->total[instant] = 0.0;
+}
+
 /* The buffer that is filled is added to the two newest blocks from here on; the next one is empty, and is filled. */
 static void next_buffer(zygos_accumulator_t *self)
 {
     zygos_row_buffer_t *buffer = &self->buffer[self->filling];
+    for (uint32_t r = self->filled; r < ZYGOS_BUFFER_ROWS; r++) {
+        leave_empty(buffer, r, self->width);
+    }
     const uint32_t older = self->order[self->count - 2u];
     const uint32_t newer = self->order[self->count - 1u];
     zygos_block_t *falling = at(self, older);
@@ -871,10 +967,12 @@ static void next_buffer(zygos_accumulator_t *self)
     buffer->late = late;
     buffer->places = ZYGOS_PLACES(older, newer);
     buffer->shared = 0;
+    buffer->row = 0;
     buffer->parity = self->parity;
     buffer->instants = 0.0;
     self->filling = (self->filling + 1u) % ZYGOS_ROW_BUFFERS;
     self->filled = 0;
+    add_slices(self, &self->buffer[self->filling], left_of(&self->buffer[self->filling])); /* none, as a rule */
     self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
 }
 
@@ -887,28 +985,41 @@ void zygos_accumulator_flush(zygos_accumulator_t *self)
     }
 }
 
+/* Puts z = w [row, W, 1] of an instant into a buffer. */
+static void put_row(zygos_row_buffer_t *buffer, uint32_t instant, const zygos_row_t *row, uint32_t p, double weight)
+{
+    double total = weight + weight * row->work;
+    for (uint32_t i = 0; i < p / 2u; i++) {
+        double *z = buffer->pair[i][instant];
+        z[0] = weight * row->column[2u * i];
+        z[1] = weight * row->column[2u * i + 1u];
+        total += z[0] + z[1];
+    }
+    if (p % 2u != 0) {
+        const double last = weight * row->column[p - 1u];
+        buffer->pair[p / 2u][instant][0] = last;
+        total += last;
+    }
+    buffer->pair[p / 2u][instant][p % 2u] = weight * row->work;
+    buffer->pair[(p + 1u) / 2u][instant][(p + 1u) % 2u] = weight;
+    buffer->total[instant] = total;
+}
+
 bool zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight)
 {
-    const uint32_t width = self->width;
-    const uint32_t p = width - 2u;
+    const uint32_t p = self->width - 2u;
     bool opens = (self->count == self->fresh);
     if (opens) {
         next_segment(self);
     }
     zygos_row_buffer_t *buffer = &self->buffer[self->filling];
-    double z[ZYGOS_MAX_ROW];
-    for (uint32_t i = 0; i < p / 2u; i++) { /* two at a time, and the last where p is odd */
-        z[2u * i] = weight * row->column[2u * i];
-        z[2u * i + 1u] = weight * row->column[2u * i + 1u];
-    }
-    z[p - 1u] = weight * row->column[p - 1u];
-    z[p] = weight * row->work;
-    z[p + 1u] = weight;
-    zygos_gram_add(buffer->gram, buffer->sum, width, z);
+    put_row(buffer, self->filled, row, p, weight);
     buffer->instants += weight;
     buffer->variance += row->variance; /* the work of a refused instant is in those behind it */
     self->filled++;
-    share_out_slices(self, 1u);
+    /* Two buffers wait where an arc has ended. Three slices in a cycle are enough: the older buffer is the next one
+       that is filled, and the newer one has been shared out before that one is full. */
+    const bool two = (share_slices(self, 3u) > 1u);
     if (self->filled >= ZYGOS_BUFFER_ROWS) {
         if (self->segment >= self->length) {
             next_segment(self);
@@ -920,7 +1031,7 @@ bool zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     self->arc_instants += one;
     self->accepted += one;
     self->refused += 1u - one;
-    return opens;
+    return opens || (two && (self->width > ZYGOS_WIDE));
 }
 
 /* ---------------------------------------------------------------- arcs */
@@ -930,7 +1041,7 @@ static void clear_rows(zygos_accumulator_t *self, uint32_t parity)
 {
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         zygos_row_buffer_t *buffer = &self->buffer[b];
-        const bool waits = (buffer->shared < ZYGOS_BUFFER_ROWS) && (buffer->parity == parity);
+        const bool waits = (buffer->shared < ZYGOS_BUFFER_SLICES) && (buffer->parity == parity);
         if (waits || ((b == self->filling) && (parity == self->parity))) {
             clear_buffer(self, buffer);
         }
@@ -1191,7 +1302,7 @@ bool zygos_accumulator_steady(const zygos_accumulator_t *self)
                 (self->parity <= 1u) && (self->task < (uint32_t)ZYGOS_TASKS) && (self->row <= self->width);
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         const zygos_row_buffer_t *buffer = &self->buffer[b];
-        good = good && (buffer->shared <= (uint32_t)ZYGOS_BUFFER_ROWS) && (buffer->parity <= 1u);
+        good = good && (buffer->shared <= (uint32_t)ZYGOS_BUFFER_SLICES) && (buffer->parity <= 1u);
     }
     return good;
 }

@@ -65,17 +65,32 @@ void zygos_gram_scan(zygos_gram_scan_t *scan, const double *gram, uint32_t first
     double *restrict sum = scan->sum;
     double *restrict most = scan->most;
     for (uint32_t i = first; i < end; i++) {
-        double row = 0.0;
+        double even = 0.0;
+        double odd = 0.0;
         double top = 0.0;
-        for (uint32_t j = 0; j < i; j++) {
+        double other_top = 0.0;
+        uint32_t j = 0;
+        for (; j + 1u < i; j += 2u) { /* two entries at a time */
             const double size = __builtin_fabs(from[j]);
-            row += from[j];
+            const double other = __builtin_fabs(from[j + 1u]);
+            even += from[j];
+            odd += from[j + 1u];
             sum[j] += from[j];
-            top = larger(size, top);
+            sum[j + 1u] += from[j + 1u];
             most[j] = larger(size, most[j]);
+            most[j + 1u] = larger(other, most[j + 1u]);
+            top = larger(size, top);
+            other_top = larger(other, other_top);
         }
+        if (j < i) {
+            even += from[j];
+            sum[j] += from[j];
+            most[j] = larger(__builtin_fabs(from[j]), most[j]);
+            top = larger(__builtin_fabs(from[j]), top);
+        }
+        top = larger(other_top, top);
         const double size = __builtin_fabs(from[i]);
-        sum[i] = row + from[i];
+        sum[i] = even + odd + from[i];
         most[i] = larger(size, top);
         scan->largest = larger(most[i], scan->largest);
         from += i + 1u;

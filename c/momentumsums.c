@@ -352,37 +352,59 @@ static void verify_noise(zygos_momentum_sums_t *self, const zygos_config_t *conf
     begin_task(self, ZYGOS_MOMENTUM_ELIMINATE);
 }
 
+/* Eliminates the constants from row a, subtracts the noise, and adds the row and its column to the row sums. mean: of
+   this column in the rows of each component. Two entries at a time. */
+static void eliminate_row(double *restrict entry, double *restrict sum, const double *const *constant,
+                          const double *mean, const double *restrict noise, uint32_t a)
+{
+    const double *restrict x = constant[0];
+    const double *restrict y = constant[1];
+    const double *restrict z = constant[2];
+    const double mx = mean[0];
+    const double my = mean[1];
+    const double mz = mean[2];
+    double even = 0.0;
+    double odd = 0.0;
+    uint32_t b = 0;
+    for (; b + 1u < a; b += 2u) {
+        const double left = entry[b] - (mx * x[b] + my * y[b] + mz * z[b] + noise[b]);
+        const double right = entry[b + 1u] - (mx * x[b + 1u] + my * y[b + 1u] + mz * z[b + 1u] + noise[b + 1u]);
+        entry[b] = left;
+        entry[b + 1u] = right;
+        sum[b] += left;
+        sum[b + 1u] += right;
+        even += left;
+        odd += right;
+    }
+    if (b < a) {
+        entry[b] -= mx * x[b] + my * y[b] + mz * z[b] + noise[b];
+        sum[b] += entry[b];
+        even += entry[b];
+    }
+    entry[a] -= mx * x[a] + my * y[a] + mz * z[a] + noise[a];
+    sum[a] += even + odd + entry[a];
+}
+
 /* G - s s^T / n for each component, less the noise; the constants' rows, which are the last, are no more. */
 static void eliminate(zygos_momentum_sums_t *self)
 {
     const uint32_t p = self->columns;
     const uint32_t end = zygos_momentum_sums_part(self);
     zygos_momentum_gram_t *rows = &ZYGOS_MOMENTUM_CLOSING(self).rows;
-    double *entry = &rows->gram[zygos_gram_entries(self->row)];
-    const double *noise =
-        &ZYGOS_MOMENTUM_NOISE_CLOSING(self).gram[zygos_gram_entries((self->row < p) ? self->row : 0u)];
+    const zygos_momentum_gram_t *noise = &ZYGOS_MOMENTUM_NOISE_CLOSING(self);
     const double *constant[MOST_COMPONENTS];
-    for (uint32_t c = 0; (c < MOST_COMPONENTS) && (c < self->components); c++) {
-        constant[c] = &rows->gram[zygos_gram_entries(p + c)];
+    double share[MOST_COMPONENTS] = { 0.0 }; /* 1 / number of rows; 0 of a component that there is not */
+    for (uint32_t c = 0; c < MOST_COMPONENTS; c++) {
+        const uint32_t there = (c < self->components) ? c : 0u;
+        constant[c] = &rows->gram[zygos_gram_entries(p + there)];
+        const double n = constant[c][p + there];
+        share[c] = ((c < self->components) && (n > 0.0)) ? 1.0 / n : 0.0;
     }
     for (uint32_t a = self->row; (a < end) && (a < p); a++) {
-        double row = 0.0;
-        double mean[MOST_COMPONENTS] = { 0.0 }; /* of this column in the rows of each component */
-        for (uint32_t c = 0; (c < MOST_COMPONENTS) && (c < self->components); c++) {
-            const double n = constant[c][p + c];
-            mean[c] = (n > 0.0) ? constant[c][a] / n : 0.0;
-        }
-        for (uint32_t b = 0; b <= a; b++) {
-            for (uint32_t c = 0; (c < MOST_COMPONENTS) && (c < self->components); c++) {
-                *entry -= mean[c] * constant[c][b];
-            }
-            *entry -= *noise;
-            row += *entry;
-            rows->sum[b] += (b < a) ? *entry : 0.0;
-            entry++;
-            noise++;
-        }
-        rows->sum[a] += row;
+        const uint32_t at = zygos_gram_entries(a);
+        const double mean[MOST_COMPONENTS] = { constant[0][a] * share[0], constant[1][a] * share[1],
+                                               constant[2][a] * share[2] };
+        eliminate_row(&rows->gram[at], rows->sum, constant, mean, &noise->gram[at], a);
     }
     self->row = end;
     if (end < width_of(self)) {

@@ -533,18 +533,20 @@ static void gap(zygos_t *self)
     }
 }
 
-/* How many parts of tasks cost less than an energy row. */
-static uint32_t idle_parts(const zygos_config_t *config)
+/* Adds rows that wait to the blocks. Returns how many parts of tasks, with that, cost less than an energy row. */
+static uint32_t share_rows(zygos_t *self)
 {
-    return IDLE_PARTS + ((config->compensation > 0) ? 1u : 0u);
+    const uint32_t most = IDLE_PARTS + ((self->config.compensation > 0) ? 1u : 0u);
+    const bool shared = zygos_accumulator_share_slices(&self->accumulator);
+    return (shared && (self->accumulator.width > ZYGOS_WIDE)) ? 1u : most;
 }
 
 /* The tasks proceed in a cycle without rows. */
 static void idle(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
-    for (uint32_t part = 0; part < idle_parts(config); part++) {
-        zygos_accumulator_share_slice(&self->accumulator);
+    const uint32_t parts = share_rows(self);
+    for (uint32_t part = 0; part < parts; part++) {
         if (self->motor_sums.task != ZYGOS_MOTOR_NONE) {
             (void)zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
         } else if (self->momentum_sums.task != ZYGOS_MOMENTUM_NONE) {
@@ -722,9 +724,9 @@ static void add_energy(zygos_t *self, bool busy)
         return;
     }
     if (is_waiting(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
-        const uint32_t parts = busy ? 1u : idle_parts(config);
+        const uint32_t most = share_rows(self);
+        const uint32_t parts = busy ? 1u : most;
         for (uint32_t part = 0; part < parts; part++) {
-            zygos_accumulator_share_slice(&self->accumulator);
             zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
         }
         go_without_row(self, (uint32_t)ZYGOS_ENERGY_ROWS);

@@ -10,8 +10,9 @@
 /// the weights of an instant add up to 1. When few blocks are left, neighbouring blocks that fit into one are merged;
 /// when none fit, segments become twice as long. The division into blocks does not change the total.
 ///
-/// All cycles cost nearly the same. The rows of ZYGOS_BUFFER_ROWS instants are summed in a buffer, which is then added
-/// to two blocks, a slice in each cycle. Everything else that takes time in proportion to a block is a task that
+/// All cycles cost nearly the same. The rows of ZYGOS_BUFFER_ROWS instants wait in a buffer; then their products are
+/// added to two blocks, slice by slice of the matrix, so that an entry is read and written once for all of them.
+/// Everything else that takes time in proportion to a block is a task that
 /// proceeds by a part in a cycle that neither opens a segment nor proceeds with a task of other rows: to verify the
 /// blocks of an arc that ended, to eliminate its constant, to compare it with the running solution (guard.h), to admit
 /// it to the closed arcs, to merge two blocks, and to clear one. An arc is closing from its end until it is admitted.
@@ -46,20 +47,21 @@ extern "C" {
 #define ZYGOS_SPARE_BLOCKS 3u
 /// Number of buffers: one is filled, one is added to the blocks, and a third waits after the end of an arc.
 #define ZYGOS_ROW_BUFFERS 3u
-/// Number of cycles in which a task reads or changes each entry of a block once.
+/// Number of cycles in which a task reads or changes each entry of a block once, or one less.
 #define ZYGOS_PASS_CYCLES 8u
 /// The least number of entries that it reads or changes in one cycle.
 #define ZYGOS_LEAST_PART 48u
+/// Above this width, rows that are added to two buffers' blocks and the part of a task are too much for one cycle.
+#define ZYGOS_WIDE 48u
 
 /// One block of the sums.
 typedef struct {
-    double gram[ZYGOS_MAX_SLICED_GRAM]; ///< Sum of w z z^T, lower triangle by rows, width (width + 1)/2 entries, the
-                                        ///< others 0.
-    double sum[ZYGOS_MAX_SLICED_ROW];   ///< Row sums of gram.
-    double deviation[ZYGOS_MAX_ROW];    ///< Closed arcs: sum of w (z - m), with the mean m of the arc.
-    double instants;                    ///< Sum of the weights w of accepted instants.
-    double square;                      ///< Sum of w^2.
-    double overlap;                     ///< Sum of w times the weight in the following block.
+    double gram[ZYGOS_MAX_PACKED_ROW]; ///< Sum of w z z^T, lower triangle by rows, width (width + 1)/2 entries.
+    double sum[ZYGOS_MAX_ROW];         ///< Row sums of gram.
+    double deviation[ZYGOS_MAX_ROW];   ///< Closed arcs: sum of w (z - m), with the mean m of the arc.
+    double instants;                   ///< Sum of the weights w of accepted instants.
+    double square;                     ///< Sum of w^2.
+    double overlap;                    ///< Sum of w times the weight in the following block.
     double variance[2]; ///< What the noise of the torques adds to the variance of the work in it [J^2], twice.
     double fade;        ///< Closed arcs: factor of all of it but variance (exponential forgetting); otherwise unused.
     uint64_t end;       ///< Closed arcs: number of the newest cycle.
@@ -72,18 +74,21 @@ typedef struct {
     double sum[ZYGOS_MAX_NOISE_ROW];
 } zygos_noise_sums_t;
 
-/// The summed rows of ZYGOS_BUFFER_ROWS instants less their noise.
+/// The rows of ZYGOS_BUFFER_ROWS instants, and their noise.
 typedef struct {
-    double gram[ZYGOS_MAX_SLICED_GRAM];
-    double sum[ZYGOS_MAX_SLICED_ROW];
-    double instants; ///< Accepted instants, while the buffer is filled.
-    double variance; ///< As of a block, while the buffer is filled.
-    double early;    ///< Weight of the older block, from then on.
-    double late;     ///< Weight of the newer block.
-    uint32_t places; ///< ZYGOS_PLACES() of the two blocks.
-    uint32_t shared; ///< Slices that have been added; ZYGOS_BUFFER_ROWS: all, or the buffer is filled.
+    double pair[ZYGOS_MAX_ROW_PAIRS][ZYGOS_BUFFER_ROWS][2]; ///< Two neighbouring entries of z of each instant; 0 of
+                                                            ///< instants that an arc did not have.
+    double total[ZYGOS_BUFFER_ROWS];                        ///< Sum of the entries of z of each instant.
+    double gram[ZYGOS_MAX_PACKED_ROW];                      ///< What is subtracted for the noise, negative.
+    double sum[ZYGOS_MAX_ROW];                              ///< Its row sums.
+    double instants;                                        ///< Accepted instants, while the buffer is filled.
+    double variance;                                        ///< As of a block, while the buffer is filled.
+    double early;                                           ///< Weight of the older block, from then on.
+    double late;                                            ///< Weight of the newer block.
+    uint32_t places;                                        ///< ZYGOS_PLACES() of the two blocks.
+    uint32_t shared; ///< Slices that have been added; ZYGOS_BUFFER_SLICES: all, or the buffer is filled.
+    uint32_t row;    ///< The next row of the matrix that is added.
     uint32_t parity; ///< That of its arc.
-    uint32_t reserved;
 } zygos_row_buffer_t;
 
 /// The places of two blocks in one number.
@@ -158,10 +163,10 @@ typedef struct {
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
 
 /// Adds one instant with weight 1 (accepted) or 0 (refused); the instructions are the same. The caller has
-/// subtracted the noise of this instant from the buffer that is being filled. Returns whether a segment was opened; the
-/// task need not proceed beside that. Cost: one rank-1 update of (p+2)(p+3)/2 entries, and the addition of that number
-/// / ZYGOS_BUFFER_ROWS to the blocks, twice as much in the first ZYGOS_BUFFER_ROWS instants of an arc. Where the tasks
-/// had no time to clear blocks, two blocks are cleared and merged at once.
+/// subtracted the noise of this instant from the buffer that is being filled. Returns whether a segment was opened, or
+/// two buffers waited; the task need not proceed beside that. Cost: an update of rank ZYGOS_BUFFER_ROWS of (p+2)(p+3)/2
+/// / ZYGOS_BUFFER_ROWS entries of two blocks, half as much more in the first instants of an arc. Where the tasks had no
+/// time to clear blocks, two blocks are cleared and merged at once.
 bool zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
 
 /// Adds the content of all buffers to the blocks. Cost: one pass over each of them.
@@ -197,9 +202,9 @@ bool zygos_accumulator_busy(const zygos_accumulator_t *self);
 /// Returns whether zygos_accumulator_proceed() has something to do: also where blocks have to be merged or cleared.
 bool zygos_accumulator_has_work(const zygos_accumulator_t *self);
 
-/// Adds the next slice of what waits in full buffers to the blocks, as zygos_accumulator_add() does: for a cycle
-/// without a row. Cost: that number of entries / ZYGOS_BUFFER_ROWS, of two buffers at the most.
-void zygos_accumulator_share_slice(zygos_accumulator_t *self);
+/// Adds the next slices of what waits in full buffers to the blocks, as zygos_accumulator_add() does: for a cycle
+/// without a row. Returns whether there was one. Cost: that of zygos_accumulator_add() at the most.
+bool zygos_accumulator_share_slices(zygos_accumulator_t *self);
 
 /// Adds what waits in full buffers to the blocks. Cost: at the most one pass over two buffers.
 void zygos_accumulator_share_out(zygos_accumulator_t *self);

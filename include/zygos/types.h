@@ -185,12 +185,12 @@ extern "C" {
 /// The length of a row that is augmented by the work alone, because 1 contains no noise.
 #define ZYGOS_MAX_NOISE_ROW (ZYGOS_MAX_PARAMETERS + 1)
 #define ZYGOS_MAX_PACKED_NOISE (ZYGOS_MAX_NOISE_ROW * (ZYGOS_MAX_NOISE_ROW + 1) / 2)
-/// The number of instants whose rows are summed in a buffer before the sum is added to the blocks. It is added in as
-/// many slices of an even length, one in each cycle; the two lengths below are rounded up to whole slices.
+/// The number of instants whose rows wait in a buffer before their products are added to the blocks, and the number of
+/// slices of the matrix in which they are added: two in each cycle, or three where two buffers wait.
 #define ZYGOS_BUFFER_ROWS 8
-#define ZYGOS_SLICED_UNIT (2 * ZYGOS_BUFFER_ROWS)
-#define ZYGOS_MAX_SLICED_ROW ((ZYGOS_MAX_ROW + ZYGOS_SLICED_UNIT - 1) / ZYGOS_SLICED_UNIT * ZYGOS_SLICED_UNIT)
-#define ZYGOS_MAX_SLICED_GRAM ((ZYGOS_MAX_PACKED_ROW + ZYGOS_SLICED_UNIT - 1) / ZYGOS_SLICED_UNIT * ZYGOS_SLICED_UNIT)
+#define ZYGOS_BUFFER_SLICES 16
+/// The least number of pairs of entries that hold a row.
+#define ZYGOS_MAX_ROW_PAIRS ((ZYGOS_MAX_ROW + 1) / 2)
 #define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
 
 /// A symbol whose name carries the capacities. The library defines it (c/capacities.c) and every object that includes

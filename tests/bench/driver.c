@@ -56,7 +56,7 @@ static uint32_t energy_task(const zygos_accumulator_t *sums)
 {
     uint32_t waiting = 0;
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        waiting += (sums->buffer[b].shared < (uint32_t)ZYGOS_BUFFER_ROWS) ? 1u : 0u;
+        waiting += (sums->buffer[b].shared < (uint32_t)ZYGOS_BUFFER_SLICES) ? 1u : 0u;
     }
     const uint32_t unused = (uint32_t)ZYGOS_MAX_BLOCKS - sums->count;
     const uint32_t closing = zygos_accumulator_closing(sums) ? 1u : 0u;

@@ -35,6 +35,7 @@ FLAGS = "-std=c++20 -w -DNDEBUG -DBOOST_VARIANT_USE_RELAXED_GET_BY_DEFAULT".spli
 OPTIMISED = {"-O2": ["-O2"], "-O3 -march=native": ["-O3", "-march=native"]}
 """How C++ and C are compiled, the same for both; the first is what is meant where nothing is said."""
 ZYGOS = "zygos"
+KINEMATICS = "zygos: kinematics"
 SUMS = "zygos: balance + accumulator"
 PINOCCHIO = "Pinocchio C++ + Eigen"
 OWN = "Pinocchio C++ + Eigen, ten parameters a body"
@@ -102,7 +103,7 @@ def native(name: str, folder: Path, programs: dict[str, Path]) -> list[Peer]:
     (whole,) = callgrind.parts(out)
     columns, sums, regressor, rank, rank_own = (whole.of(part) / SAMPLES for part in _PARTS)
     counted: dict[str, float | None] = {
-        ZYGOS: columns + sums, f"{ZYGOS}: kinematics": columns, SUMS: sums,
+        ZYGOS: columns + sums, KINEMATICS: columns, SUMS: sums,
         PINOCCHIO: regressor + rank, f"{PINOCCHIO}: regressor": regressor, f"{PINOCCHIO}: rank-1 update": rank,
         OWN: regressor + rank_own,
     }  # fmt: skip

@@ -235,7 +235,7 @@ def test_an_arc_that_a_gap_ends_waits_until_the_one_before_it_is_closed(arm: Arm
         flight.cycles(part(behind, k, k + 1))
         waited += int(state.ending != 0)
         assert state.ending == 0 or state.ended[0] == end
-    assert 0 < waited <= state.smoother.window + state.waited[0]
+    assert 0 < waited <= state.smoother.window + 1 + state.waited[0]  # the first instant behind has no row
     assert counters(flight)["arcs"] == 2
 
 
@@ -626,3 +626,31 @@ def test_an_arc_is_admitted_once(arm: Arm) -> None:
     momentum.task, momentum.admitted = MOMENTUM_ADMIT, 100
     settle(flight)
     assert (momentum.count, momentum.corrupt) == (1, 0)
+
+
+SLICES = 16  # ZYGOS_BUFFER_SLICES
+
+
+@pytest.mark.parametrize("p", [3, 4, 12, 60])
+@pytest.mark.parametrize("over", range(8))
+def test_buffers_that_wait_behind_an_arc_are_shared_out_before_they_are_filled(p: int, over: int) -> None:
+    """Of each parity of the width, narrow and wide; the blocks then hold the products of all rows, and their sums."""
+    energy, row = ffi.new("zygos_accumulator_t *"), ffi.new("zygos_row_t *")
+    lib.zygos_accumulator_init(energy, p, 1000, 0.05)
+    rng = np.random.default_rng(over)
+    length = 48 + over
+    z = np.column_stack([rng.normal(size=(length + 24, p + 1)), np.ones(length + 24)])
+    for k, one in enumerate(z):
+        if energy.filled == 0:
+            assert energy.buffer[energy.filling].shared == SLICES
+        row.column[0:p], row.work = one[:p].tolist(), one[p]
+        lib.zygos_accumulator_add(energy, row, 1.0)
+        if k + 1 == length:
+            assert lib.zygos_accumulator_close(energy, length, length)
+    lib.zygos_accumulator_flush(energy)
+    entries = (p + 2) * (p + 3) // 2
+    blocks = [energy.block[place] for place in energy.order[0 : energy.count]]
+    found = sum(np.array(list(block.gram)[:entries]) for block in blocks)
+    np.testing.assert_allclose(found, (z.T @ z)[np.tril_indices(p + 2)], rtol=1e-12, atol=1e-12)
+    sums = sum(np.array(list(block.sum)[: p + 2]) for block in blocks)
+    np.testing.assert_allclose(sums, z.T @ z.sum(axis=1), rtol=1e-12, atol=1e-12)
