@@ -654,3 +654,12 @@ def test_buffers_that_wait_behind_an_arc_are_shared_out_before_they_are_filled(p
     np.testing.assert_allclose(found, (z.T @ z)[np.tril_indices(p + 2)], rtol=1e-12, atol=1e-12)
     sums = sum(np.array(list(block.sum)[: p + 2]) for block in blocks)
     np.testing.assert_allclose(sums, z.T @ z.sum(axis=1), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(("arc_cycles", "target"), [(120, 24), (1500, 48), (3000, 56), (15_000, 312), (100_000, 1024)])
+def test_how_long_the_first_segments_are(arc_cycles: int, target: int) -> None:
+    """48 of the longest arc, but of a second at least and of 1024 instants at most, in whole buffers; a quarter of a
+    short arc, but three buffers at least. In cycles of 20 ms."""
+    energy = ffi.new("zygos_accumulator_t *")
+    lib.zygos_accumulator_init(energy, 3, arc_cycles, 0.02)
+    assert energy.target == target
