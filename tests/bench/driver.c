@@ -51,20 +51,23 @@ typedef struct {
     uint32_t energy_task, motor_task, momentum_task;
 } place_t;
 
-/* The part of a task that a cycle does, or what decides which one begins, and how many buffers wait beside it. */
+/* The slices that have been added of a buffer behind the one that is filled. */
+static uint32_t shared(const zygos_accumulator_t *sums, uint32_t behind)
+{
+    return sums->buffer[(sums->filling + behind) % ZYGOS_ROW_BUFFERS].shared;
+}
+
+/* The part of a task that a cycle does, or what decides which one begins, and what is added from buffers beside it. */
 static uint32_t energy_task(const zygos_accumulator_t *sums)
 {
-    uint32_t waiting = 0;
-    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        waiting += (sums->buffer[b].shared < (uint32_t)ZYGOS_BUFFER_SLICES) ? 1u : 0u;
-    }
+    const uint32_t waiting = (shared(sums, 1u) << 24u) | (shared(sums, 2u) << 19u);
     const uint32_t unused = (uint32_t)ZYGOS_MAX_BLOCKS - sums->count;
     const uint32_t closing = zygos_accumulator_closing(sums) ? 1u : 0u;
     const uint32_t noise = ((closing == 1u) && (sums->rank >= sums->fresh)) ? 1u : 0u;
     const uint32_t lacking = (unused < ZYGOS_SPARE_BLOCKS) ? 1u : 0u;
     const uint32_t dirty = (unused > sums->ready) ? 1u : 0u;
-    return (waiting << 24u) | (sums->task << 16u) | (closing << 15u) | (noise << 14u) | (lacking << 13u) |
-           (dirty << 12u) | ((sums->task != ZYGOS_TASK_NONE) ? sums->row : 0u);
+    return waiting | (sums->task << 16u) | (closing << 15u) | (noise << 14u) | (lacking << 13u) | (dirty << 12u) |
+           ((sums->task != ZYGOS_TASK_NONE) ? sums->row : 0u);
 }
 
 /* What counts instructions sees this call behind each cycle. */

@@ -25,7 +25,7 @@ from zygos.errors import ZygosError
 Counter = Callable[[str, str, int], Count]
 SCANNED = 100
 """Most instructions by which a part of a task differs by its data."""
-CYCLES = 2000
+CYCLES = 4000
 """Of a run; enough for the parts of tasks to come again."""
 
 
