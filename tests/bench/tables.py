@@ -33,8 +33,8 @@ NEEDED = ("frame", "smoother", "kinematics", "balance")
 """Stages that every design has."""
 PER_ENTRY = {"x86-64": 1.0, "m7": 1.0}
 """Instructions for a product and a sum: two of them for two entries at a time, or one that does both."""
-FLAT = 1.6
-"""Most that a cycle costs relative to the mean."""
+FLAT, BESIDE = 1.55, 1.65
+"""Most that a cycle costs relative to the mean, and where now and then a joint row is formed beside an energy row."""
 QUARTER = 0.25
 """Most that balance and accumulator take of the instructions of Pinocchio, as it comes, and Eigen; paper's arm."""
 CLOCK_MHZ, CYCLES_PER_INSTRUCTION = 216.0, (1.0, 2.0)
@@ -192,6 +192,11 @@ def products(of: dict[tuple[str, str, str], dict[str, Any]], target: str, name: 
     """Instructions of a product and a sum for each entry of the normal matrix."""
     columns = of[target, name, TOGETHER]["parameters"] + 2
     return PER_ENTRY[target] * columns * (columns + 1) / 2
+
+
+def flat(name: str) -> float:
+    """Most that a cycle of a configuration costs relative to the mean."""
+    return BESIDE if name in ("ground", "spatial, joint rows") else FLAT
 
 
 def floor(of: dict[tuple[str, str, str], dict[str, Any]], target: str, name: str) -> float:
