@@ -31,8 +31,6 @@ WHOLE = {"paper, bare": 0.5, "spatial, bare": 0.9, "seven, bare": 0.9}
 """Most that kinematics, balance and accumulator take of the instructions of Pinocchio and Eigen for the same p."""
 NEEDED = ("frame", "smoother", "kinematics", "balance")
 """Stages that every design has."""
-PER_ENTRY = {"x86-64": 1.0, "m7": 1.0}
-"""Instructions for a product and a sum: two of them for two entries at a time, or one that does both."""
 FLAT, BESIDE = 1.55, 1.65
 """Most that a cycle costs relative to the mean, and where now and then a joint row is formed beside an energy row."""
 QUARTER = 0.25
@@ -189,9 +187,10 @@ def _details(content: dict[str, Any]) -> str:
 
 
 def products(of: dict[tuple[str, str, str], dict[str, Any]], target: str, name: str) -> float:
-    """Instructions of a product and a sum for each entry of the normal matrix."""
+    """Instructions of a product and a sum for each entry of the normal matrix, one an entry: two for two entries
+    at a time on x86-64, and one that does both on Cortex-M7."""
     columns = of[target, name, TOGETHER]["parameters"] + 2
-    return PER_ENTRY[target] * columns * (columns + 1) / 2
+    return columns * (columns + 1) / 2
 
 
 def flat(name: str) -> float:

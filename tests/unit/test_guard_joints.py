@@ -30,6 +30,14 @@ def doubled(model: Model) -> Model:
     return heavier(model, model.bodies[-1].mass.value, (x + 0.05, y, z))
 
 
+def laden(arm: Arm, model: Model) -> tuple[Array, Array, int]:
+    """Angles and exact torques (n, N) of 80 s; the cycle, at 45 s, from which the last body has twice its mass."""
+    q, tau = torque_of(arm, model, 0, 80.0)
+    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
+    at = round(45.0 / arm.period_s)
+    return q, np.concatenate([tau[:at], loaded[at:]]), at
+
+
 def flight_of(arm: Arm, model: Model, *, energy_rows: bool = True) -> Flight:
     flight = Flight(arm, model.effects)
     if not energy_rows:
@@ -66,10 +74,8 @@ def test_a_payload_that_doubles_is_a_change(joints: int, energy_rows: bool) -> N
     """Within three segments; the values stay those of the arm before, and those that differ are of its bodies."""
     arm, model = short_arm(joints)
     load = doubled(model)
-    at = round(45.0 / arm.period_s)
-    q, tau = torque_of(arm, model, 0, 80.0)
-    _, loaded = torque_of(arm, load, 0, 80.0)
-    cycles = seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0)
+    q, tau, at = laden(arm, model)
+    cycles = seen(arm, q, tau, 0)
     flight = flight_of(arm, model, energy_rows=energy_rows)
     before, _ = watched(flight, part(cycles, 0, at))
     assert (before.validity, before.left_out[0]) == ("valid", 0)
@@ -175,11 +181,9 @@ def test_what_a_fault_spoils_is_left_out_and_over_when_a_segment_agrees() -> Non
 def test_the_watch_tells_the_change_in_words() -> None:
     arm, model = short_arm(2)
     arm = replace(arm, arc_max_s=10.0)
-    q, tau = torque_of(arm, model, 0, 80.0)
-    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
-    at = round(45.0 / arm.period_s)
+    q, tau, _ = laden(arm, model)
     watch = Watch(flight_of(arm, model))
-    watch.cycles(seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0))
+    watch.cycles(seen(arm, q, tau, 0))
     found = watch.look()
     assert found is not None and found.changed
     said = about_left_out(watch.flight.estimate(), watch)
@@ -188,10 +192,8 @@ def test_the_watch_tells_the_change_in_words() -> None:
 
 def test_a_state_goes_on_with_its_running_solution_and_what_was_set_aside() -> None:
     arm, model = short_arm(2)
-    q, tau = torque_of(arm, model, 0, 80.0)
-    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
-    at = round(45.0 / arm.period_s)
-    cycles = seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0)
+    q, tau, at = laden(arm, model)
+    cycles = seen(arm, q, tau, 0)
     flight = flight_of(arm, model)
     watched(flight, part(cycles, 0, at + round(12.0 / arm.period_s)))
     aside = flight.native.joint_sums.group[lib.ZYGOS_JOINT_GROUPS_VALUE].count
@@ -207,13 +209,11 @@ def test_a_state_goes_on_with_its_running_solution_and_what_was_set_aside() -> N
 def test_a_change_is_told_where_next_to_no_noise_is_left() -> None:
     """Other motions then leave over what the approximations do, of which a thousandth of the signal is let pass."""
     arm, model = short_arm(2)
-    at = round(45.0 / arm.period_s)
-    q, tau = torque_of(arm, model, 0, 80.0)
-    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
-    exact = np.concatenate([tau[:at], loaded[at:]])
-    angle = q + 1e-3 * (seen(arm, q, exact, 0).q - q)
+    q, tau, _ = laden(arm, model)
+    cycles = seen(arm, q, tau, 0)
+    angle = q + 1e-3 * (cycles.q - q)
     flight = flight_of(arm, model, energy_rows=False)
-    watched(flight, replace(seen(arm, q, exact, 0), q=angle, theta=angle, tau=exact))
+    watched(flight, replace(cycles, q=angle, theta=angle, tau=tau))
     assert any(name.endswith("2") for name in flight.drift().changed)
 
 
@@ -235,10 +235,8 @@ def test_segments_that_another_arm_does_not_explain_either_are_not_compared() ->
 
 def test_segments_that_are_set_aside_leave_their_noise_out_of_the_estimate() -> None:
     arm, model = short_arm(2)
-    q, tau = torque_of(arm, model, 0, 80.0)
-    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
-    at = round(45.0 / arm.period_s)
-    cycles = seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0)
+    q, tau, at = laden(arm, model)
+    cycles = seen(arm, q, tau, 0)
     flight = flight_of(arm, model)
     sums, aside = flight.native.joint_sums, lib.ZYGOS_JOINT_GROUPS_VALUE
     seconds = round(10.0 / arm.period_s)

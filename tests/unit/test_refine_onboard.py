@@ -94,9 +94,7 @@ def test_it_is_the_whole_filter() -> None:
     task.cycles(part(rest, slice(0, n - 1)))  # the state begins with the fourth
     entries = task.native.filter.entries
     x = np.frombuffer(ffi.buffer(task.native.filter.x), dtype=np.float64)[:entries].copy()
-    root = np.zeros((entries, entries))
     packed = np.frombuffer(ffi.buffer(task.native.filter.root), dtype=np.float64)
-    root.T[np.tril_indices(entries)] = packed[: entries * (entries + 1) // 2]
     size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:12].copy()
     whole = Refiner(arm, Settings(size, 5, zeros=True))
     fast, end = whole.fast, whole.fast + len(size)

@@ -11,6 +11,7 @@ import pytest
 from arm_support import State as Sample
 from arm_support import random_arm, random_state
 from flight_support import balanced
+from numpy.typing import NDArray
 from rows_support import awkward, wandering
 
 from zygos.arm import Arm
@@ -22,7 +23,8 @@ from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import ZygosError
 from zygos.model import gram
 from zygos.model.model import Model
-from zygos.native.flight import Flight, config_of, ffi, lib
+from zygos.native.flight import Estimate, Flight, config_of, ffi, lib
+from zygos.runs.cycles import Cycles
 
 FLEXIBLE: dict[str, Callable[[int], bool]] = {
     "flexible": lambda _: True,
@@ -201,6 +203,19 @@ def test_a_stiffness_where_the_arm_is_rigid() -> None:
         model.base_values(rigid)
 
 
+def estimate_of(arm: Arm, cycles: Cycles, bodies: NDArray[np.float64]) -> Estimate:
+    """From torques that balance three flexible joints and bodies of that matrix (V, V), with their rotors on it."""
+    rotors = np.array([1.0, 2.0, 3.0])
+    drives = {"Im": rotors, "k": np.full(3, 1e3), "b": np.full(3, 50.0)}
+    kinetic = gram.to_parameters(arm, bodies + gram.of_rotors(arm, rotors))
+    parameters = np.append(kinetic, [drives[kind][i] for kind, i in arm.full_joint_parameters])
+    flight = Flight(arm)
+    flight.cycles(balanced(arm, cycles, parameters))
+    estimate = flight.estimate()
+    np.testing.assert_allclose(estimate.value, parameters, rtol=1e-6)
+    return estimate
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_bodies_without_their_rotors_must_have_energy_in_every_motion(seed: int) -> None:
     """A matrix of the bodies with one eigenvalue near zero, with the rotors on it: valid above zero, refused below."""
@@ -216,16 +231,9 @@ def test_bodies_without_their_rotors_must_have_energy_in_every_motion(seed: int)
     direction /= np.linalg.norm(direction)
     root = rng.normal(size=(size, size))
     others = np.eye(size) - np.outer(direction, direction)
-    rotors = np.array([1.0, 2.0, 3.0])
-    drives = {"Im": rotors, "k": np.full(3, 1e3), "b": np.full(3, 50.0)}
     for least, verdict in ((0.01, "valid"), (-0.01, "doubtful")):
         bodies = others @ (root @ root.T + size * np.eye(size)) @ others + least * np.outer(direction, direction)
-        kinetic = gram.to_parameters(arm, bodies + gram.of_rotors(arm, rotors))
-        parameters = np.append(kinetic, [drives[kind][i] for kind, i in arm.full_joint_parameters])
-        flight = Flight(arm)
-        flight.cycles(balanced(arm, cycles, parameters))
-        estimate = flight.estimate()
-        np.testing.assert_allclose(estimate.value, parameters, rtol=1e-6)
+        estimate = estimate_of(arm, cycles, bodies)
         assert estimate.validity == verdict
         assert (least > 0.0) or "not physical" in estimate.reason
 
@@ -246,13 +254,6 @@ def test_of_two_directions_on_a_fixed_base_the_sum_must_have_energy(least: float
     needed = bodies[:2, 2:] @ np.linalg.solve(bodies[2:, 2:], bodies[2:, :2])
     assert abs(needed[0, 1]) > abs(least)
     bodies[:2, :2] = needed + 0.5 * least * np.eye(2)
-    rotors = np.array([1.0, 2.0, 3.0])
-    drives = {"Im": rotors, "k": np.full(3, 1e3), "b": np.full(3, 50.0)}
-    kinetic = gram.to_parameters(arm, bodies + gram.of_rotors(arm, rotors))
-    parameters = np.append(kinetic, [drives[kind][i] for kind, i in arm.full_joint_parameters])
-    flight = Flight(arm)
-    flight.cycles(balanced(arm, cycles, parameters))
-    estimate = flight.estimate()
-    np.testing.assert_allclose(estimate.value, parameters, rtol=1e-6)
+    estimate = estimate_of(arm, cycles, bodies)
     assert (estimate.validity == "valid") == (least > 0.0)
     assert (least > 0.0) or "not physical" in estimate.reason
