@@ -169,12 +169,23 @@ double zygos_accumulator_instants(const zygos_accumulator_t *self, uint32_t rank
     return fade_of(block) * block->instants;
 }
 
+static const double *last_row(const double *gram, uint32_t width)
+{
+    return &gram[zygos_gram_entries(width - 1u)];
+}
+
+const double *zygos_accumulator_deviation(const zygos_accumulator_t *self, const zygos_block_t *block)
+{
+    return last_row(block->gram, self->width);
+}
+
 static uint64_t checksum_of_block(const zygos_block_t *block, uint32_t width)
 {
     const double weights[6] = { block->instants, block->square,      block->overlap,
                                 block->fade,     block->variance[0], block->variance[1] };
     return zygos_checksum_number(
-        zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 6), block->end);
+        zygos_checksum_doubles(zygos_checksum_doubles(1u, last_row(block->gram, width), width), weights, 6),
+        block->end);
 }
 
 /* Of a block of closed arcs. */
@@ -309,7 +320,6 @@ static bool task_ends(zygos_accumulator_t *self, uint32_t end)
 static void clear_rest(zygos_block_t *block, uint32_t width)
 {
     memset(block->sum, 0, width * sizeof block->sum[0]);
-    memset(block->deviation, 0, width * sizeof block->deviation[0]);
     block->instants = 0.0;
     block->square = 0.0;
     block->overlap = 0.0;
@@ -347,16 +357,17 @@ static void proceed_clear(zygos_accumulator_t *self)
     reseal(self);
 }
 
-/* What follows the last row is a part of its own. */
+/* The last row and what follows it is a part of its own: the checksums are of that. */
 static void proceed_merge(zygos_accumulator_t *self)
 {
     zygos_block_t *to = at(self, first_of(self->places));
     const zygos_block_t *from = at(self, second_of(self->places));
     const double own = fade_of(to);
     const double other = fade_of(from);
+    const uint32_t last = zygos_gram_entries(self->width - 1u);
     if (self->row < self->width) {
         const uint32_t end = zygos_accumulator_part(self);
-        for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
+        for (uint32_t k = zygos_gram_entries(self->row); (k < zygos_gram_entries(end)) && (k < last); k++) {
             to->gram[k] = own * to->gram[k] + other * from->gram[k];
         }
         self->row = end;
@@ -366,8 +377,8 @@ static void proceed_merge(zygos_accumulator_t *self)
     const bool closed = (to->checksum != 0);
     const bool whole = closed && is_whole(to, self->width) && is_whole(from, self->width);
     for (uint32_t i = 0; i < self->width; i++) {
+        to->gram[last + i] = own * to->gram[last + i] + other * from->gram[last + i];
         to->sum[i] = own * to->sum[i] + other * from->sum[i];
-        to->deviation[i] = own * to->deviation[i] + other * from->deviation[i];
     }
     to->square = own * (to->square + 2.0 * to->overlap) + other * from->square;
     to->instants = own * to->instants + other * from->instants;
@@ -573,7 +584,7 @@ static void proceed_verify(zygos_accumulator_t *self)
                        (zygos_gram_scanned(&self->scan, block->gram, self->width, block->sum, block->instants) <= 1.0);
     self->whole &= whole ? 1u : 0u;
     self->overlap = block->overlap;
-    const double *s = &block->gram[zygos_gram_entries(self->width - 1u)];
+    const double *s = last_row(block->gram, self->width);
     const double *mean = self->mean;
     const double n = s[self->width - 1u];
     double all = 0.0;
@@ -592,16 +603,14 @@ static void proceed_verify(zygos_accumulator_t *self)
         const double far = __builtin_fabs(mean[i]);
         self->scan.sum[i] += n * mean[i] * means - s[i] * means - mean[i] * all;
         self->scan.most[i] += (__builtin_fabs(s[i]) + n * far) * size_of_means + far * size;
-        block->deviation[i] = s[i] - n * mean[i];
         block->sum[i] = 0.0;
     }
+    self->scan.sum[self->width - 1u] = all - n * means; /* of the deviations */
     begin_task(self, ZYGOS_TASK_CENTRE, self->places);
 }
 
-/* G - s m^T - m s^T + n m m^T, entry by entry, and its row sums; s is the last row of G, which changes last and each
-   entry by itself. */
-/* Eliminates the constant from row i of a block, and adds the row and its column to the row sums. s: the sums of the
-   columns of n rows. Two entries at a time. */
+/* Eliminates the constant from row i of a block, G - s m^T - m s^T + n m m^T, and adds the row and its column to the
+   row sums. s: the sums of the columns of n rows. Two entries at a time. */
 static void centre_row(double *restrict entry, double *restrict sum, const double *restrict mean,
                        const double *restrict s, double n, uint32_t i)
 {
@@ -633,12 +642,17 @@ static void proceed_centre(zygos_accumulator_t *self)
 {
     const uint32_t end = zygos_accumulator_part(self);
     zygos_block_t *block = at(self, first_of(self->places));
-    double last[ZYGOS_MAX_ROW]; /* the last row, which changes too */
-    memcpy(last, &block->gram[zygos_gram_entries(self->width - 1u)], self->width * sizeof last[0]);
-    for (uint32_t i = self->row; i < end; i++) {
-        centre_row(&block->gram[zygos_gram_entries(i)], block->sum, self->mean, last, last[self->width - 1u], i);
+    const uint32_t last = self->width - 1u;
+    double *s = &block->gram[zygos_gram_entries(last)];
+    for (uint32_t i = self->row; (i < end) && (i < last); i++) {
+        centre_row(&block->gram[zygos_gram_entries(i)], block->sum, self->mean, s, s[last], i);
     }
     if (task_ends(self, end)) {
+        const double n = s[last];
+        for (uint32_t i = 0; i < self->width; i++) {
+            s[i] -= n * self->mean[i];
+            block->sum[last] += s[i];
+        }
         block->end = self->closing_end;
         block->fade = 1.0;
         const bool whole =
@@ -1267,7 +1281,6 @@ void zygos_accumulator_apply_fade(zygos_accumulator_t *self)
         }
         for (uint32_t i = 0; i < self->width; i++) {
             block->sum[i] *= fade;
-            block->deviation[i] *= fade;
         }
         block->instants *= fade;
         block->square *= fade;
@@ -1348,7 +1361,7 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
 static bool is_block_whole(const zygos_block_t *block, uint32_t width)
 {
     return is_whole(block, width) && is_count(block->instants) && is_factor(block->fade) &&
-           (zygos_gram_check(block->gram, width, block->sum, block->instants) <= 1.0);
+           (zygos_gram_check(block->gram, width - 1u, block->sum, block->instants) <= 1.0);
 }
 
 /* Drops the closed blocks that do not match. Needs that no other blocks are in use. */
@@ -1455,9 +1468,11 @@ double zygos_accumulator_check(const zygos_accumulator_t *self)
     }
     for (uint32_t r = 0; r < self->count; r++) {
         const zygos_block_t *block = zygos_accumulator_at(self, r);
-        const double here = zygos_gram_check(block->gram, self->width, block->sum, block->instants);
+        const bool closed = (r < self->open);
+        const uint32_t rows = self->width - (closed ? 1u : 0u);
+        const double here = zygos_gram_check(block->gram, rows, block->sum, block->instants);
         worst = (here > worst) ? here : worst;
-        const bool good = (r < self->open) ? is_whole(block, self->width) : (block->checksum == 0);
+        const bool good = closed ? is_whole(block, self->width) : (block->checksum == 0);
         worst = good ? worst : 2.0;
     }
     return worst;

@@ -208,14 +208,14 @@ static void add_part(zygos_guard_t *self, const zygos_accumulator_t *sums, uint3
 }
 
 /* The sum of residuals of a block. */
-static void add_block(zygos_guard_t *self, const zygos_block_t *block, uint32_t p)
+static void add_block(zygos_guard_t *self, const zygos_block_t *block, const double *deviation, uint32_t p)
 {
     if (!(block->square > 0.0)) {
         return;
     }
-    double sum = block->deviation[p];
+    double sum = deviation[p];
     for (uint32_t i = 0; i < p; i++) {
-        sum -= self->solution[i] * block->deviation[i];
+        sum -= self->solution[i] * deviation[i];
     }
     self->blocks.residual += sum * sum / block->square;
     self->blocks.uncertainty += self->walk / block->square;
@@ -289,9 +289,10 @@ void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *confi
     const uint32_t end = (self->comparing != 0) ? zygos_accumulator_part(sums) : sums->width;
     if ((self->comparing != 0) && block) {
         const zygos_block_t *from = zygos_accumulator_at(sums, sums->rank);
-        add_part(self, sums, end, from->gram, from->deviation, &self->rows);
+        const double *deviation = zygos_accumulator_deviation(sums, from);
+        add_part(self, sums, end, from->gram, deviation, &self->rows);
         if (end >= sums->width) {
-            add_block(self, from, sums->width - 2u);
+            add_block(self, from, deviation, sums->width - 2u);
         }
     } else if (self->comparing != 0) {
         add_part(self, sums, end, sums->noise_open[(sums->parity & 1u) ^ 1u].gram, NULL, &self->noise);

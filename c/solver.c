@@ -457,10 +457,11 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
         instants += block->instants;
         square += block->square;
     }
-    memset(work->information, 0, sizeof work->information);
+    memset(work->information[0], 0, p * sizeof work->information[0][0]);
+    memset(work->information[1], 0, p * sizeof work->information[1][0]);
     memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
-    memset(work->product, 0, sizeof work->product);
-    memset(work->linearised_variance, 0, sizeof work->linearised_variance);
+    memset(work->product, 0, p * sizeof work->product[0]);
+    memset(work->linearised_variance, 0, p * sizeof work->linearised_variance[0]);
     scaled_equations(work, p, NULL, work->noise_scale);
     (void)factorise(work, p, rank);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
@@ -509,8 +510,8 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     }
     if (once) {
         memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
-        memset(work->product, 0, sizeof work->product);
-        memset(work->linearised_variance, 0, sizeof work->linearised_variance);
+        memset(work->product, 0, p * sizeof work->product[0]);
+        memset(work->linearised_variance, 0, p * sizeof work->linearised_variance[0]);
     }
     for (uint32_t i = 0; i < p; i++) {
         const double several = work->information[0][i] * work->information[0][i];
@@ -977,19 +978,21 @@ static void add_torque_noise(zygos_solver_t *work, uint32_t p, uint32_t rank, do
     double *next = work->linearised;
     double *rest = work->product;
     memset(u, 0, p * sizeof u[0]);
-    memset(work->right_side, 0, sizeof work->right_side);
+    memset(work->right_side, 0, p * sizeof work->right_side[0]);
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
+        const double *deviation = zygos_accumulator_deviation(work->accumulator, block);
         for (uint32_t i = 0; i < p; i++) {
-            work->right_side[i] += block->deviation[i] * work->scale[i];
+            work->right_side[i] += deviation[i] * work->scale[i];
         }
     }
     solve_once(work, p, rank, rest);
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
+        const double *deviation = zygos_accumulator_deviation(work->accumulator, block);
         const double share = block->instants / work->instants;
         for (uint32_t i = 0; i < p; i++) {
-            work->right_side[i] = block->deviation[i] * work->scale[i];
+            work->right_side[i] = deviation[i] * work->scale[i];
         }
         solve_once(work, p, rank, next);
         for (uint32_t i = 0; i < p; i++) {
@@ -1069,9 +1072,10 @@ static double cluster(const zygos_solver_t *work, uint32_t p, const zygos_estima
     double means = 0.0;
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
-        double sum = block->deviation[p];
+        const double *deviation = zygos_accumulator_deviation(work->accumulator, block);
+        double sum = deviation[p];
         for (uint32_t i = 0; i < p; i++) {
-            sum -= work->solution[i] * block->deviation[i];
+            sum -= work->solution[i] * deviation[i];
         }
         squares += (block->square > 0.0) ? sum * sum / block->square : 0.0;
         means += (block->instants > 0.0) ? sum * sum / (block->instants * block->instants) : 0.0;
@@ -1486,8 +1490,15 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
+/* A vector of p entries, where rows wait otherwise: eight in a buffer. */
+static double *vector(zygos_accumulator_t *sums, uint32_t k)
+{
+    double *rows = sums->buffer[k / ZYGOS_BUFFER_ROWS].pair[0][0];
+    return &rows[2u * ZYGOS_MAX_ROW_PAIRS * (k % ZYGOS_BUFFER_ROWS)];
+}
+
 /* What the solver needs beside the sums lies in the buffers and in the noise of open arcs, which are empty when all
-   arcs have ended, and are empty again behind it. */
+   arcs have ended. Its matrices are empty again behind it; rows that waited need not be. */
 static void borrow(zygos_solver_t *work)
 {
     zygos_accumulator_t *sums = work->accumulator;
@@ -1497,6 +1508,25 @@ static void borrow(zygos_solver_t *work)
     work->matrix = sums->buffer[2].gram;
     work->factor = sums->noise_open[0].gram;
     work->other_factor = sums->noise_open[1].gram;
+    double **vectors[] = { &work->scale,
+                           &work->right_side,
+                           &work->solution,
+                           &work->size,
+                           &work->noise_shift,
+                           &work->score,
+                           &work->without,
+                           &work->inverse,
+                           &work->information[0],
+                           &work->information[1],
+                           &work->degrees_of_freedom,
+                           &work->linearised_variance,
+                           &work->product,
+                           &work->linearised };
+    _Static_assert(sizeof vectors / sizeof vectors[0] <= ZYGOS_ROW_BUFFERS * ZYGOS_BUFFER_ROWS,
+                   "vectors without a place");
+    for (uint32_t k = 0; k < sizeof vectors / sizeof vectors[0]; k++) {
+        *vectors[k] = vector(sums, k);
+    }
 }
 
 static void give_back(zygos_solver_t *work)

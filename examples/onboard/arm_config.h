@@ -1,10 +1,10 @@
 // Arm paper, compiled from arm.toml by `zygos compile-model`. Do not edit.
 //
 // The smallest build that holds it: -DZYGOS_MAX_JOINTS=2 -DZYGOS_MAX_HALF_WIDTH=5 -DZYGOS_MAX_EFFECTS=0 -DZYGOS_MAX_REDUCTION=0 -DZYGOS_SPATIAL=0 -DZYGOS_MOMENTUM=0 -DZYGOS_JOINT_ROWS=0 -DZYGOS_MAX_BLOCKS=32
-// It takes 167,592 bytes: configuration 624, state 84,992, work 80,360, estimate 1,616.
+// It takes 157,320 bytes: configuration 624, state 80,640, work 74,440, estimate 1,616.
 //
 // With the fewest blocks: -DZYGOS_MAX_JOINTS=2 -DZYGOS_MAX_HALF_WIDTH=5 -DZYGOS_MAX_EFFECTS=0 -DZYGOS_MAX_REDUCTION=0 -DZYGOS_SPATIAL=0 -DZYGOS_MOMENTUM=0 -DZYGOS_JOINT_ROWS=0 -DZYGOS_MAX_BLOCKS=11 -DZYGOS_MAX_MOTOR_BLOCKS=4
-// Solved in place (zygos_solve_in_place()), it takes 46,248 bytes: configuration 624, state 41,912, solver 2,096, estimate 1,616.
+// Solved in place (zygos_solve_in_place()), it takes 43,184 bytes: configuration 624, state 40,416, solver 528, estimate 1,616.
 
 #ifndef ARM_CONFIG_H
 #define ARM_CONFIG_H

@@ -56,16 +56,17 @@ extern "C" {
 
 /// One block of the sums.
 typedef struct {
-    double gram[ZYGOS_MAX_PACKED_ROW]; ///< Sum of w z z^T, lower triangle by rows, width (width + 1)/2 entries.
-    double sum[ZYGOS_MAX_ROW];         ///< Row sums of gram.
-    double deviation[ZYGOS_MAX_ROW];   ///< Closed arcs: sum of w (z - m), with the mean m of the arc.
-    double instants;                   ///< Sum of the weights w of accepted instants.
-    double square;                     ///< Sum of w^2.
-    double overlap;                    ///< Sum of w times the weight in the following block.
-    double variance[2]; ///< What the noise of the torques adds to the variance of the work in it [J^2], twice.
-    double fade;        ///< Closed arcs: factor of all of it but variance (exponential forgetting); otherwise unused.
-    uint64_t end;       ///< Closed arcs: number of the newest cycle.
-    uint64_t checksum;  ///< Closed arcs: of deviation and the members after it; otherwise 0.
+    /// Sum of w z z^T, lower triangle by rows, width (width + 1)/2 entries. Closed arcs: of w (z - m) (z - m)^T with
+    /// the mean m of the arc, but for the last row, which would be 0: it is the sum of w (z - m), the deviations.
+    double gram[ZYGOS_MAX_PACKED_ROW];
+    double sum[ZYGOS_MAX_ROW]; ///< Row sums of gram; closed arcs: without the last row.
+    double instants;           ///< Sum of the weights w of accepted instants.
+    double square;             ///< Sum of w^2.
+    double overlap;            ///< Sum of w times the weight in the following block.
+    double variance[2];        ///< What the noise of the torques adds to the variance of the work in it [J^2], twice.
+    double fade;       ///< Closed arcs: factor of all of it but variance (exponential forgetting); otherwise unused.
+    uint64_t end;      ///< Closed arcs: number of the newest cycle.
+    uint64_t checksum; ///< Closed arcs: of the deviations and the members after sum; otherwise 0.
 } zygos_block_t;
 
 /// The expected sums of products of noise: packed lower triangle of p + 1 rows, the work last, and its row sums.
@@ -257,6 +258,9 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram);
 /// corrupt when it closed. Above 1 means corrupt. Needs zygos_accumulator_intact(), and finished tasks. The buffers are
 /// not checked before zygos_accumulator_flush().
 double zygos_accumulator_check(const zygos_accumulator_t *self);
+
+/// Returns the deviations of a block of closed arcs or of one that is judged, width entries, the last of which is 0.
+const double *zygos_accumulator_deviation(const zygos_accumulator_t *self, const zygos_block_t *block);
 
 /// Returns the instants of the block of that rank, times its factor.
 double zygos_accumulator_instants(const zygos_accumulator_t *self, uint32_t rank);

@@ -135,9 +135,9 @@ typedef struct {
                                          ///< no value. Positive semi-definite among those that have one.
 } zygos_estimate_t;
 
-/// Where the solver finds the sums, and what it remembers in between. Its five triangles lie in memory of the
-/// accumulator that is free when all arcs have ended. It belongs to the task that solves; its members are not for
-/// reading.
+/// Where the solver finds the sums, and what it remembers in between. Its five triangles and its vectors of p entries
+/// lie in memory of the accumulator that is free when all arcs have ended. It belongs to the task that solves; its
+/// members are not for reading.
 typedef struct {
     zygos_accumulator_t *accumulator;
     zygos_motor_sums_t *motor_sums;
@@ -150,27 +150,27 @@ typedef struct {
     double *matrix; ///< The scaled equations.
     double *factor; ///< Their Cholesky factor.
     double *other_factor;
+    double *scale;
+    double *right_side;
+    double *solution;
+    double *size;
+    double *noise_shift;
+    double *score;
+    double *without; ///< Solution without one block, then its difference.
+    double *inverse; ///< Diagonal of the inverse of the scaled matrix.
+    double *information[2];
+    double *degrees_of_freedom;
+    double *linearised_variance;
+    double *product;
+    double *linearised;
     uint64_t cycle; ///< The newest cycle in the sums.
     zygos_column_map_t column_map;
-    double scale[ZYGOS_MAX_PARAMETERS];
-    double right_side[ZYGOS_MAX_PARAMETERS];
-    double solution[ZYGOS_MAX_PARAMETERS];
-    double size[ZYGOS_MAX_PARAMETERS];
-    double noise_shift[ZYGOS_MAX_PARAMETERS];
-    double score[ZYGOS_MAX_PARAMETERS];
-    double without[ZYGOS_MAX_PARAMETERS]; ///< Solution without one block, then its difference.
-    double weight[ZYGOS_MAX_JOINTS];      ///< Weight of each joint's motor rows, that of the energy rows being 1.
-    double momentum_weight;               ///< Weight of the momentum rows.
-    double joints_weight;                 ///< Weight of the joint rows.
-    uint32_t joints_alone;                ///< 1: they alone are solved.
-    uint32_t joints_used;                 ///< 1: they take part.
-    double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
-    double information[2][ZYGOS_MAX_PARAMETERS];
-    double degrees_of_freedom[ZYGOS_MAX_PARAMETERS];
-    double linearised_variance[ZYGOS_MAX_PARAMETERS];
-    double product[ZYGOS_MAX_PARAMETERS];
-    double linearised[ZYGOS_MAX_PARAMETERS];
-    double spread; ///< Sum of the squared work without the constants of the arcs [J^2].
+    double weight[ZYGOS_MAX_JOINTS]; ///< Weight of each joint's motor rows, that of the energy rows being 1.
+    double momentum_weight;          ///< Weight of the momentum rows.
+    double joints_weight;            ///< Weight of the joint rows.
+    uint32_t joints_alone;           ///< 1: they alone are solved.
+    uint32_t joints_used;            ///< 1: they take part.
+    double spread;                   ///< Sum of the squared work without the constants of the arcs [J^2].
     struct {
         uint32_t first;
         uint32_t end;

@@ -199,9 +199,10 @@ static void forge_energy(zygos_accumulator_t *sums)
     sums->twin = ZYGOS_ACCUMULATOR_TWIN(sums);
     for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
         zygos_block_t *block = &sums->block[b];
-        const double weights[4] = { block->instants, block->square, block->overlap, block->fade };
-        const uint64_t checksum =
-            zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 4);
+        const double weights[6] = { block->instants, block->square,      block->overlap,
+                                    block->fade,     block->variance[0], block->variance[1] };
+        const double *deviation = &block->gram[(width > 0) ? zygos_gram_entries(width - 1u) : 0u];
+        const uint64_t checksum = zygos_checksum_doubles(zygos_checksum_doubles(1u, deviation, width), weights, 6);
         block->checksum = (block->checksum == 0) ? 0u : zygos_checksum_number(checksum, block->end);
     }
 }

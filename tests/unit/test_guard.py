@@ -496,7 +496,7 @@ def test_an_arc_is_compared_by_the_sums_of_residuals_in_its_blocks(motion: Traje
             break
     assert guard.comparing == 1
     closing = [sums.block[place] for place in list(sums.order)[sums.open : sums.fresh]]
-    deviation, square = np.array([list(one.deviation)[: p + 1] for one in closing]), [one.square for one in closing]
+    deviation, square = np.array([list(lib.zygos_accumulator_deviation(ffi.addressof(sums), ffi.addressof(one))[0 : p + 1]) for one in closing]), [one.square for one in closing]
     covariance = np.zeros((p, p))
     covariance[np.tril_indices(p)] = list(guard.covariance)[: p * (p + 1) // 2]
     covariance += np.tril(covariance, -1).T

@@ -430,7 +430,7 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     # the noise of the torques: as at many places of each block, between whose ends the sums of rows change evenly
     sums_of_rows, places_of = np.zeros(p), (np.arange(1000) + 0.5) / 1000.0
     for block in blocks:
-        step = np.array(list(block.deviation[0:p]))
+        step = np.array(list(lib.zygos_accumulator_deviation(ffi.addressof(work, "accumulator"), ffi.addressof(block))[0:p]))
         moved = np.array([solved(whole, sums_of_rows + share_of * step) for share_of in places_of])
         covariance += block.variance[0] * moved.T @ moved / len(places_of)
         sums_of_rows += step

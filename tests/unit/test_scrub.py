@@ -284,7 +284,8 @@ def _energy(native: Any) -> None:
 
 
 def _deviation(native: Any) -> None:
-    flip(closed_block(native), "deviation", 52, 3)
+    last_row = native.accumulator.width * (native.accumulator.width - 1) // 2
+    flip(closed_block(native), "gram", 52, last_row + 3)
 
 
 def _motor(native: Any) -> None:
@@ -352,11 +353,17 @@ def test_a_count_that_cannot_be_is_found_also_where_its_checksum_matches(
 def _energy_instants(native: Any, instants: float) -> None:
     sums = native.accumulator
     block = closed_block(native)
+    assert checksum_of(sums, block) == block.checksum  # as the library computes it
     block.instants = instants
-    checksum = lib.zygos_checksum_doubles(1, block.deviation, sums.width)
-    for number in (block.instants, block.square, block.overlap, block.fade):
+    block.checksum = checksum_of(sums, block)
+
+
+def checksum_of(sums: Any, block: Any) -> int:
+    deviation = lib.zygos_accumulator_deviation(ffi.addressof(sums), ffi.addressof(block))
+    checksum = lib.zygos_checksum_doubles(1, deviation, sums.width)
+    for number in (block.instants, block.square, block.overlap, block.fade, *block.variance):
         checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double *", number), 1)
-    block.checksum = lib.zygos_checksum_number(checksum, block.end)
+    return int(lib.zygos_checksum_number(checksum, block.end))
 
 
 def _motor_total(native: Any, instants: float) -> None:

@@ -552,12 +552,12 @@ class Flight:
         lib.zygos_take(self.native, self._work)
         lib.zygos_solve(self._work, self._estimate)  # ends the open arcs of the copy
         sums, joints, momenta = self._work.accumulator, self._work.motor_sums, self._work.momentum_sums
-        width = len(self.names) + 1
+        pointer, width = ffi.addressof(sums), len(self.names) + 1
         return Blocks(
             energy=[
                 (
                     _symmetric(block.gram, width),
-                    np.frombuffer(ffi.buffer(block.deviation), dtype=np.float64)[:width].copy(),
+                    np.array(list(lib.zygos_accumulator_deviation(pointer, ffi.addressof(block))[0:width])),
                     block.instants,
                     block.square,
                     block.variance[0],
