@@ -86,6 +86,22 @@ static uint32_t slice_of(const zygos_config_t *config, uint32_t width, uint32_t 
     return (cycles > 0) ? (entries + cycles - 1u) / cycles : 0u;
 }
 
+/* How often two rows are added for each increment, with their noise. */
+static uint32_t passes_of(const zygos_config_t *config, uint32_t rows)
+{
+    const uint32_t pairs = (rows + 1u) / 2u;
+    return (config->compensation > 0) ? 2u * pairs : pairs;
+}
+
+/* The rows of all joints are added in the cycles of a half in which none is formed. */
+static uint32_t share_of(const zygos_config_t *config, uint32_t width)
+{
+    const uint32_t half = config->joint_row_cycles / 2u;
+    const uint32_t entries = passes_of(config, config->joints) * zygos_gram_entries(width);
+    const uint32_t cycles = (half > config->joints) ? half - config->joints : 1u;
+    return (entries + cycles - 1u) / cycles;
+}
+
 void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config,
                              const zygos_column_map_t *column_map, const zygos_smoother_t *smoother)
 {
@@ -94,6 +110,7 @@ void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *con
     self->width = width_of(config, column_map);
     self->increments = increments_of(config);
     self->slice = slice_of(config, self->width, self->increments);
+    self->share = share_of(config, self->width);
     memset(self->weight, 0, sizeof self->weight);
     memset(self->deviation, 0, sizeof self->deviation);
     memset(self->rotor_variance, 0, sizeof self->rotor_variance);
@@ -137,10 +154,8 @@ bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_
     const uint32_t increments = increments_of(config);
     bool good = (self->width == width) && (width <= (uint32_t)ZYGOS_MAX_JOINT_ROW) &&
                 (self->increments == increments) && (self->slice == slice_of(config, width, increments)) &&
-                (self->filling < 2u) && (self->adding <= APART) && (self->cursor <= zygos_gram_entries(width)) &&
-                (self->filled <= increments) && (self->turn < zygos_joint_signals(config)) &&
-                (self->apart_count <= config->joints) && (self->target <= (uint32_t)ZYGOS_SET_ASIDE) &&
-                is_count(self->apart_sums);
+                (self->share == share_of(config, width)) && zygos_joint_sums_steady(self, config) &&
+                (self->filled <= increments) && is_count(self->apart_sums);
     for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
         good = good && is_count(self->group[g].count) && (self->group[g].fade >= 0.0) && (self->group[g].fade <= 1.0);
     }
@@ -166,6 +181,13 @@ static void clear_segment(zygos_joint_segment_t *segment, uint32_t width)
     memset(segment->count, 0, sizeof segment->count);
 }
 
+static void clear_waiting(zygos_joint_sums_t *self)
+{
+    self->waiting = 0;
+    self->pass = 0;
+    self->row = 0;
+}
+
 void zygos_joint_sums_clear(zygos_joint_sums_t *self)
 {
     self->corrupt = 0;
@@ -186,6 +208,8 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self)
     self->keep = 1.0;
     self->keep_group = 1.0;
     self->apart_sums = 0.0;
+    clear_waiting(self);
+    memset(self->wait, 0, sizeof self->wait);
     clear_gram(&self->noise, self->width);
     clear_gram(&self->apart, self->width);
     for (uint32_t s = 0; s < 2u; s++) {
@@ -283,7 +307,55 @@ static bool has_time(const zygos_joint_sums_t *self, const zygos_config_t *confi
     return (self->increments >= 4u) && ((self->increments / 2u - 1u) * (half - config->joints) >= config->joints);
 }
 
-void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted, bool row)
+/* Adds two rows that wait to row i of the matrix, two entries at a time. */
+static void add_pair(zygos_joint_gram_t *to, const double (*z)[2], const double *total, uint32_t i)
+{
+    const double first = z[i][0];
+    const double second = z[i][1];
+    const double *restrict x = z[0];
+    double *restrict entry = &to->gram[zygos_gram_entries(i)];
+    for (const double *end = entry + (i + 1u) / 2u * 2u; entry != end; entry += 2) {
+        entry[0] += first * x[0] + second * x[1];
+        entry[1] += first * x[2] + second * x[3];
+        x += 4;
+    }
+    if (i % 2u == 0) {
+        entry[0] += first * first + second * second;
+    }
+    to->sum[i] += first * total[0] + second * total[1];
+}
+
+/* Adds rows that wait to so many entries or a few more. */
+static void add_waiting(zygos_joint_sums_t *self, const zygos_config_t *config, uint32_t entries)
+{
+    zygos_joint_segment_t *segment = &self->segment[self->filling];
+    const uint32_t pairs = (self->waiting + 1u) / 2u;
+    const uint32_t passes = passes_of(config, self->waiting);
+    uint32_t done = 0;
+    while ((self->pass < passes) && (done < entries)) {
+        const uint32_t kind = (self->pass < pairs) ? 0u : 1u;
+        const uint32_t k = self->pass - ((kind == 0) ? 0u : pairs);
+        zygos_joint_gram_t *to = (kind == 0) ? &segment->rows : &segment->noise;
+        for (; (self->row < self->width) && (done < entries); self->row++) {
+            add_pair(to, (const double(*)[2])self->wait[kind].pair[k], self->wait[kind].total[k], self->row);
+            done += self->row + 1u;
+        }
+        if (self->row >= self->width) {
+            self->row = 0;
+            self->pass++;
+        }
+    }
+    if (self->pass >= passes) {
+        clear_waiting(self);
+    }
+}
+
+static void add_all_waiting(zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    add_waiting(self, config, passes_of(config, self->waiting) * zygos_gram_entries(self->width));
+}
+
+bool zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted, bool row)
 {
     const uint64_t one = (uint64_t)(accepted > 0.0);
     self->accepted += one;
@@ -291,6 +363,10 @@ void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *confi
     if (!row || (self->adding != APART) || !has_time(self, config)) {
         advance(self, config->joints, self->slice);
     }
+    if (!row && (self->waiting > 0)) {
+        add_waiting(self, config, self->share);
+    }
+    return (self->waiting == 0) && (self->filled >= self->increments);
 }
 
 /* Ends the segment that is filled, which is added to the given group from here on. anew: to nothing else. */
@@ -338,6 +414,26 @@ void zygos_joint_sums_set_aside(zygos_joint_sums_t *self, const zygos_config_t *
     end_segment(self, config, (uint32_t)ZYGOS_SET_ASIDE, anew, cycle, forgetting);
 }
 
+/* A row, or its noise, waits behind those before it. */
+static void put(zygos_joint_wait_t *wait, uint32_t k, const double *z, uint32_t width)
+{
+    double total = 0.0;
+    if (k % 2u == 0) {
+        for (uint32_t i = 0; i < width; i++) {
+            wait->pair[k / 2u][i][0] = z[i];
+            wait->pair[k / 2u][i][1] = 0.0;
+            total += z[i];
+        }
+        wait->total[k / 2u][1] = 0.0;
+    } else {
+        for (uint32_t i = 0; i < width; i++) {
+            wait->pair[k / 2u][i][1] = z[i];
+            total += z[i];
+        }
+    }
+    wait->total[k / 2u][k % 2u] = total;
+}
+
 /* The noise of one signal in a row, and of the rotors behind springs. */
 static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                       const zygos_joint_t *joint, const zygos_joint_row_t *row, double weight)
@@ -352,7 +448,7 @@ static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, co
     }
     zygos_reduce(config, column_map, columns, z);
     z[self->width - 1u] = 0.0;
-    zygos_gram_add(noise->gram, noise->sum, self->width, z);
+    put(&self->wait[1], self->waiting, z, self->width);
     for (uint32_t i = row->joint + 1u; i < config->joints; i++) {
         if (config->joint[i].rigid == 0) {
             const uint32_t known = column_map->place[column_map->joint[i]];
@@ -364,9 +460,12 @@ static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, co
     }
 }
 
-bool zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                           const zygos_joint_t *joint, const zygos_joint_row_t *row)
 {
+    if ((row->joint == 0) || (self->waiting >= config->joints)) {
+        add_all_waiting(self, config); /* none, unless a gap has come in between */
+    }
     zygos_joint_segment_t *segment = &self->segment[self->filling];
     const double weight = row->accepted * self->weight[row->joint];
     double columns[ZYGOS_MAX_COLUMNS];
@@ -376,7 +475,7 @@ bool zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
     }
     zygos_reduce(config, column_map, columns, z);
     z[self->width - 1u] = weight * row->impulse;
-    zygos_gram_add(segment->rows.gram, segment->rows.sum, self->width, z);
+    put(&self->wait[0], self->waiting, z, self->width);
     for (uint32_t k = 0; k < self->width; k++) {
         segment->apart[row->joint][k] += z[k];
     }
@@ -385,8 +484,8 @@ bool zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
         add_noise(self, config, column_map, joint, row, weight);
         self->turn = (self->turn + row->last) % zygos_joint_signals(config);
     }
+    self->waiting++;
     self->filled += row->last * (uint32_t)(row->accepted > 0.0);
-    return self->filled >= self->increments;
 }
 
 double zygos_joint_sums_open_rows(const zygos_joint_sums_t *self, const zygos_config_t *config)
@@ -411,6 +510,7 @@ double zygos_joint_sums_rows(const zygos_joint_sums_t *self)
 void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *config)
 {
     const uint32_t entries = zygos_gram_entries(self->width);
+    add_all_waiting(self, config);
     for (uint32_t step = 0; (step <= config->joints) && (self->adding != IDLE); step++) {
         advance(self, config->joints, entries);
     }
@@ -421,6 +521,7 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
     self->dropped += (self->segment[self->filling].count[0] > 0.0) ? 1u : 0u;
     self->doubtful += ((self->segments > 0) && (self->end > cycle)) ? 1u : 0u;
     clear_segment(&self->segment[self->filling], self->width);
+    clear_waiting(self);
     self->filled = 0;
 }
 
@@ -442,7 +543,8 @@ bool zygos_joint_sums_steady(const zygos_joint_sums_t *self, const zygos_config_
 {
     return (self->filling < 2u) && (self->adding <= APART) && (self->cursor <= zygos_gram_entries(self->width)) &&
            (self->turn < zygos_joint_signals(config)) && (self->apart_count <= config->joints) &&
-           (self->target <= (uint32_t)ZYGOS_SET_ASIDE);
+           (self->target <= (uint32_t)ZYGOS_SET_ASIDE) && (self->waiting <= config->joints) &&
+           (self->row <= self->width);
 }
 
 bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *config,
@@ -457,6 +559,7 @@ bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *conf
         return false;
     }
     self->corrupt = 0;
+    add_all_waiting(self, config);
     const zygos_joint_segment_t *segment = &self->segment[self->filling];
     double adds = self->apart_sums;
     double rows = 0.0;

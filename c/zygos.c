@@ -192,7 +192,7 @@ static uint64_t tables_checksum_of(const zygos_t *self)
     sum = zygos_checksum_memory(sum, momentum->deviation, sizeof momentum->deviation);
     sum = zygos_checksum_memory(sum, momentum->rotor, sizeof momentum->rotor);
     sum = zygos_checksum_number(zygos_checksum_number(sum, joints->width), joints->increments);
-    sum = zygos_checksum_number(sum, joints->slice);
+    sum = zygos_checksum_number(zygos_checksum_number(sum, joints->slice), joints->share);
     sum = zygos_checksum_memory(sum, joints->weight, sizeof joints->weight);
     sum = zygos_checksum_memory(sum, joints->deviation, sizeof joints->deviation);
     return zygos_checksum_memory(sum, joints->rotor_variance, sizeof joints->rotor_variance);
@@ -214,7 +214,7 @@ static uint32_t further_places_of(const zygos_t *self)
     }
     if (config->joint_row_cycles > 0) {
         fold ^= config->base ^ config->kinetic ^ self->joint_sums.width ^ self->joint_sums.increments ^
-                self->joint_sums.slice;
+                self->joint_sums.slice ^ self->joint_sums.share;
     }
     for (uint32_t e = 0; e < least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
         fold ^= config->effect[e].kind ^ config->effect[e].joint;
@@ -700,15 +700,15 @@ static bool add_joints(zygos_t *self)
     if ((ZYGOS_JOINT_ROWS == 0) || (config->joint_row_cycles == 0)) {
         return false;
     }
-    zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted, self->joint.turn < config->joints);
+    if (zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted, self->joint.turn < config->joints)) {
+        zygos_guard_end_joints(&self->guard, config, &self->joint_sums, self->cycle, &self->joints_forgetting);
+    }
     if (zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
                         &self->joint_row) == 0) {
         return false;
     }
-    if (zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row)) {
-        zygos_guard_end_joints(&self->guard, config, &self->joint_sums, self->cycle, &self->joints_forgetting);
-    }
+    zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row);
     return true;
 }
 

@@ -6,6 +6,9 @@
 /// being its number, and the standard deviations come from the scatter of the R groups. Groups of interleaved segments
 /// have seen the same motions, which neighbouring blocks have not.
 ///
+/// The rows of an increment wait until all are formed. The cycles up to the next ones add them to the segment, two rows
+/// at a time and so many entries of the matrix in each cycle.
+///
 /// There are two buffers for segments. While one is filled, the other one is added to its group and cleared, the same
 /// number of entries in every cycle, so that it is empty when the first one is complete. The bias by the noise of the
 /// rates (joint.h) is summed beside the rows, one signal for each increment in turn with a weight that is larger in
@@ -58,6 +61,13 @@ typedef struct {
     double sum[ZYGOS_MAX_JOINT_ROW];
 } zygos_joint_gram_t;
 
+/// Rows that wait: those of two joints side by side, and 0 where there is one joint less.
+#define ZYGOS_JOINT_PAIRS ((ZYGOS_JOINT_PLACES + 1) / 2)
+typedef struct {
+    double pair[ZYGOS_JOINT_PAIRS][ZYGOS_MAX_JOINT_ROW][2];
+    double total[ZYGOS_JOINT_PAIRS][2]; ///< Sum of the entries of each row.
+} zygos_joint_wait_t;
+
 /// A segment that is being filled, or added to its group.
 typedef struct {
     zygos_joint_gram_t rows;
@@ -78,6 +88,7 @@ typedef struct {
     uint32_t width;       ///< Length of a row, p + 1; 0 where the configuration has no such rows.
     uint32_t increments;  ///< Number of increments in a segment.
     uint32_t slice;       ///< Number of entries that are added to the group in each cycle.
+    uint32_t share;       ///< Number of entries to which two rows that wait are added in each cycle.
     uint32_t corrupt;     ///< 1: the checksum did not match when a segment was complete.
     uint32_t filling;     ///< Index of the buffer that is filled.
     uint32_t adding;      ///< 1: entries of the other one are added to its group; 2: the sums of its joints' rows.
@@ -89,6 +100,9 @@ typedef struct {
     uint32_t apart_count; ///< Number of its joints whose sums were added.
     uint32_t target;      ///< The group to which it is added.
     uint32_t quarantined; ///< Groups and segments that were dropped since the last zygos_scrub(): memory was changed.
+    uint32_t waiting;     ///< Number of rows that wait.
+    uint32_t pass;        ///< The next two of them that are added, those of noise behind those of rows.
+    uint32_t row;         ///< The next row of the matrix that they are added to.
     uint64_t segments;    ///< Number of segments that were complete, without those that were set aside.
     uint64_t accepted;    ///< Number of accepted instants.
     uint64_t refused;     ///< Number of instants that the bandwidth test refused.
@@ -102,6 +116,7 @@ typedef struct {
     double rotor_variance[ZYGOS_MAX_JOINTS]; ///< Of the rate of each rotor with a spring, times 2 [rad^2/s^2].
     zygos_joint_gram_t noise;                ///< Noise that was subtracted.
     zygos_joint_gram_t apart;                ///< Sum of s s^T / (2 rows).
+    zygos_joint_wait_t wait[2];              ///< Of rows, and of their noise.
     zygos_joint_segment_t segment[2];
     zygos_joint_group_t group[ZYGOS_GROUP_PLACES + 1]; ///< The last one is that of ZYGOS_SET_ASIDE.
 } zygos_joint_sums_t;
@@ -130,18 +145,19 @@ bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_
 /// Clears the sums. Needs the tables.
 void zygos_joint_sums_clear(zygos_joint_sums_t *self);
 
-/// Counts an instant, accepted (1) or not (0), and adds the next entries of a complete segment to its group. Call it in
-/// each cycle with an instant. row: this cycle also forms a row; updates wait for a cycle that does not, where there
-/// are enough of them. Cost: slice entries, or one update of p + 1 columns, for at most the time that the next segment
-/// takes.
-void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted, bool row);
+/// Counts an instant, accepted (1) or not (0), and adds the next entries of a complete segment to its group, and rows
+/// that wait to the segment that is filled. Call it in each cycle with an instant. row: this cycle also forms a row;
+/// rows that wait stay, and updates wait for a cycle that does not, where there are enough of them. Returns whether the
+/// segment that is filled is complete; then zygos_guard_end_joints() must follow. Cost: slice entries, or one update of
+/// p + 1 columns, for at most the time that the next segment takes; share entries of two products where rows wait.
+bool zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted, bool row);
 
-/// Adds a row and the noise of the signal whose turn it is. Returns whether the segment that is filled is complete;
-/// then zygos_guard_end_joints() must follow. Cost: the reduction of two rows and one update of p + 1 columns for each.
-bool zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+/// A row, and the noise of the signal whose turn it is, wait from here on. Cost: the reduction of two rows. Where rows
+/// wait of an increment whose end a gap has lost, they are added at once.
+void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                           const zygos_joint_t *joint, const zygos_joint_row_t *row);
 
-/// Returns the number of rows in the segment that is filled, or in the groups of the estimate.
+/// Returns the number of rows in the segment that is filled, with those that wait, or in the groups of the estimate.
 double zygos_joint_sums_open_rows(const zygos_joint_sums_t *self, const zygos_config_t *config);
 double zygos_joint_sums_rows(const zygos_joint_sums_t *self);
 
@@ -154,7 +170,8 @@ void zygos_joint_sums_admit(zygos_joint_sums_t *self, const zygos_config_t *conf
 void zygos_joint_sums_set_aside(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle,
                                 double *forgetting, bool anew);
 
-/// Adds the segment that has ended to its group at once. Cost: one pass over the sums of a segment.
+/// Adds rows that wait to the segment that is filled, and the one that has ended to its group, at once. Cost: a pass
+/// over the sums of a segment for each two rows, and one more.
 void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *config);
 
 /// Drops the segment that is filled, because it contains cycles after the given one. Cost: one pass over it.
@@ -163,8 +180,9 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);
 /// Returns whether the places and counts that each cycle uses are possible. Cost: a few comparisons.
 bool zygos_joint_sums_steady(const zygos_joint_sums_t *self, const zygos_config_t *config);
 
-/// Drops each group, and the segment that is filled, where the row sums do not match. Returns false when anything else
-/// does not match: then clear the sums. Needs the tables. Cost: one pass over the sums.
+/// Adds the rows that wait, and drops each group, and the segment that is filled, where the row sums do not match.
+/// Returns false when anything else does not match: then clear the sums. Needs the tables. Cost: one pass over the
+/// sums, and one over those of a segment for each two rows that wait.
 bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *config,
                             const zygos_column_map_t *column_map);
 

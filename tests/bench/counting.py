@@ -42,14 +42,14 @@ SIZES = (
 )  # fmt: skip
 PLACES = (
     "frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first",
-    "row_turn", "row_step", "row_signal", "row_moved", "energy_task", "motor_task", "momentum_task",
+    "row_turn", "row_step", "row_signal", "row_moved", "row_waits", "energy_task", "motor_task", "momentum_task",
 )  # fmt: skip
 """Where a cycle stands, as bench/driver.c has it."""
 RELEVANT: dict[str, tuple[str, ...]] = {
     "wire": ("frames",), "cycle": ("frames",), "smoother": ("position",), "kinematics": (), "balance": ("torque_at",),
     "impulse": ("joint_turn", "torque_at", "motor_task", "row_turn"),
     "momentum": ("momentum_turn", "momentum_task", "row_turn"),
-    "joint": ("row_turn", "row_step", "row_signal", "row_moved"), "noise": ("turn", "torque_at"),
+    "joint": ("row_turn", "row_step", "row_signal", "row_moved", "row_waits"), "noise": ("turn", "torque_at"),
     "accumulator": ("filled", "first", "energy_task"), "frame": ("frames",),
 }  # fmt: skip
 """On which of them the cost of a stage may depend."""

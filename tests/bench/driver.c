@@ -44,10 +44,10 @@ enum kind {
 
 /* What a cycle was, and all on which its cost may depend beside its data: its frames, whose turn it is, and where rings
    and steps stand. Of the joint rows: which one is formed, the step in the half of an increment, the signal whose noise
-   is added, and what is moved of a complete segment. */
+   is added, what is moved of a complete segment, and where the adding of rows that wait stands. */
 typedef struct {
     uint32_t kind, frames, turn, joint_turn, momentum_turn, filled, torque_at, position, first;
-    uint32_t row_turn, row_step, row_signal, row_moved;
+    uint32_t row_turn, row_step, row_signal, row_moved, row_waits;
     uint32_t energy_task, motor_task, momentum_task;
 } place_t;
 
@@ -91,6 +91,7 @@ static place_t step(uint32_t frames)
     const uint32_t signal = joints->turn;
     const uint32_t cursor = joints->cursor;
     const uint32_t adding = joints->adding;
+    const uint32_t waits = ((row == 0) && (joints->waiting > 0)) ? 1u + joints->pass * joints->width + joints->row : 0u;
     const uint32_t tasks[3] = { sums->task, arm.motor_sums.task, arm.momentum_sums.task };
     const uint32_t of_energy = energy_task(sums);
     const uint32_t energy_row = sums->row;
@@ -133,6 +134,7 @@ static place_t step(uint32_t frames)
         .row_signal = (row > 0) ? signal : 0u,
         .row_moved =
             adding + (((adding == 1u) && (cursor + joints->slice >= zygos_gram_entries(joints->width))) ? 2u : 0u),
+        .row_waits = waits,
         .energy_task = of_energy | (first_link << 30u) | (rests ? 1u << 31u : 0u),
         .motor_task = of_motors | yields,
         .momentum_task = of_momentum | yields,

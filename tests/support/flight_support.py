@@ -39,6 +39,13 @@ def flushed(flight: Flight) -> Any:
     return work
 
 
+def symmetric(packed: Any, width: int) -> Floats:
+    """(width, width) from a lower triangle by rows."""
+    out = np.zeros((width, width))
+    out[np.tril_indices(width)] = np.frombuffer(ffi.buffer(packed))[: width * (width + 1) // 2]
+    return np.asarray(out + np.tril(out, -1).T)
+
+
 def arcs_of(flight: Flight) -> int:
     """The arcs that have ended and were admitted, that one which is closing included."""
     work = flushed(flight)  # its memory is free when nothing has it

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_support import arm_of_known_lengths, random_arm
-from flight_support import part
+from flight_support import part, symmetric
 from motion_support import FLEXIBLE, laboratory, random_ground, sines
 from numpy.typing import NDArray
 
@@ -211,6 +211,52 @@ def test_a_run_in_pieces_of_any_length_gives_the_same_sums() -> None:
     assert min(grown) >= -1e-9  # rows are added, none is lost
 
 
+def segment_of(flight: Flight) -> tuple[Floats, Floats]:
+    """Sums of the rows in the segment that is filled and of their noise, with those that wait."""
+    lib.zygos_take(flight.native, flight._work)
+    sums = flight._work.joint_sums
+    lib.zygos_joint_sums_flush(ffi.addressof(sums), ffi.addressof(flight._work, "config"))
+    assert sums.waiting == 0
+    segment = sums.segment[sums.filling]
+    return symmetric(segment.rows.gram, sums.width), symmetric(segment.noise.gram, sums.width)
+
+
+@pytest.mark.parametrize(("joints", "lost"), [(2, 0), (3, 0), (3, 1), (3, 2), (4, 3)])
+def test_rows_that_wait_are_in_the_sums_whatever_was_added_of_them(joints: int, lost: int) -> None:
+    """After every cycle, also where a gap loses the last rows of an increment: those before it stay."""
+    known = random_ground(joints, "spatial", 450)
+    cycles = known.cycles(0)
+    flight = Flight(known.arm)
+    native, sums = flight.native, flight.native.joint_sums
+    width = sums.width
+    rows, noise = np.zeros((width, width)), np.zeros((width, width))
+    seen, broken = set(), lost == 0
+    for k in range(len(cycles)):
+        turn, complete = native.joint.turn, native.joint.halves == 3
+        gap = complete and turn == lost and not broken
+        if gap:
+            cycles.flags[k] = BREAK_BEFORE
+            broken = True
+        waiting, before = sums.waiting, noise
+        flight.cycles(part(cycles, k, k + 1))
+        formed = complete and turn < joints and not gap
+        if formed:
+            z = np.append(list(native.joint_row.column)[: width - 1], native.joint_row.impulse)
+            z *= native.joint_row.accepted * sums.weight[native.joint_row.joint]
+            rows = rows + np.outer(z, z)
+        assert sums.waiting == waiting + 1 if formed else sums.waiting in (0, waiting)
+        seen.add((sums.waiting, sums.row > 0))
+        found, noise = segment_of(flight)
+        size = np.sqrt(np.diag(rows)) + 1e-150
+        assert np.max(np.abs(found - rows) / np.outer(size, size)) <= 1e-12
+        if formed:
+            assert np.trace(noise) > np.trace(before)
+        else:
+            np.testing.assert_allclose(noise, before, rtol=1e-9, atol=1e-12 * np.trace(before))
+    assert sums.segments == 0 and sums.filled > 2 and broken
+    assert {(joints, True), (0, False)} <= seen  # part of them was added, and all
+
+
 def test_memory_that_changes_is_noticed() -> None:
     known = random_ground(3, "spatial", 3000)
     flight = Flight(known.arm)
@@ -246,6 +292,9 @@ def test_memory_that_changes_is_noticed() -> None:
         ("filled", 10**6),
         ("turn", 99),
         ("target", 9),
+        ("share", 0),
+        ("waiting", 4),
+        ("row", 10**6),
     ):
         kept = getattr(sums, name)
         setattr(sums, name, wrong)
@@ -340,10 +389,10 @@ def test_the_scale_of_the_groups_takes_a_degree_of_freedom() -> None:
     flight.cycles(known.cycles())
     p = len(flight.estimate().value)
     assert flight._work.solver.joints_alone
-    first, second = (np.array(list(row)[:p]) for row in flight._work.solver.information)
+    first, second = (np.array(list(row[0:p])) for row in flight._work.solver.information)
     expected = np.maximum(first**2 / second - 1.0, 2.0)
     assert (expected > 2.0).sum() >= 3
-    np.testing.assert_allclose(list(flight._work.solver.degrees_of_freedom)[:p], expected, rtol=1e-12)
+    np.testing.assert_allclose(list(flight._work.solver.degrees_of_freedom[0:p]), expected, rtol=1e-12)
 
 
 def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -> None:
@@ -355,7 +404,7 @@ def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -
     work = flight._work
     columns, p = work.column_map, work.column_map.parameters
     assert columns.kinetic < columns.body < p == columns.count
-    size, solution = np.array(list(work.solver.size)[:p]), np.abs(list(work.solver.solution)[:p])
+    size, solution = np.array(list(work.solver.size[0:p])), np.abs(list(work.solver.solution[0:p]))
     moments, behind = slice(columns.kinetic, columns.body), slice(columns.body, p)
     np.testing.assert_array_equal(size[moments], solution[moments].max())
     np.testing.assert_array_equal(size[behind], solution[behind])

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import bytes_of, joined, part
+from flight_support import bytes_of, joined, part, symmetric
 from numpy.typing import NDArray
 from rows_support import effect
 from scipy import stats
@@ -496,7 +495,15 @@ def test_an_arc_is_compared_by_the_sums_of_residuals_in_its_blocks(motion: Traje
             break
     assert guard.comparing == 1
     closing = [sums.block[place] for place in list(sums.order)[sums.open : sums.fresh]]
-    deviation, square = np.array([list(lib.zygos_accumulator_deviation(ffi.addressof(sums), ffi.addressof(one))[0 : p + 1]) for one in closing]), [one.square for one in closing]
+    deviation, square = (
+        np.array(
+            [
+                list(lib.zygos_accumulator_deviation(ffi.addressof(sums), ffi.addressof(one))[0 : p + 1])
+                for one in closing
+            ]
+        ),
+        [one.square for one in closing],
+    )
     covariance = np.zeros((p, p))
     covariance[np.tril_indices(p)] = list(guard.covariance)[: p * (p + 1) // 2]
     covariance += np.tril(covariance, -1).T
@@ -518,7 +525,7 @@ def test_what_noise_leaves_in_momentum_rows_is_that_of_the_arc_which_is_judged(m
     guard, momentum, column_map = flight.native.guard, flight.native.momentum_sums, flight.native.column_map
     fly_until(flight, seen(motion, 0), lambda: bool(momentum.task == judge))
     columns = int(momentum.columns)
-    noise = matrix_of(momentum.noise_arc[(momentum.parity & 1) ^ 1].gram, columns)
+    noise = symmetric(momentum.noise_arc[(momentum.parity & 1) ^ 1].gram, columns)
     kinetic = int(column_map.kinetic)
     ranks = [k if k < kinetic else column_map.joint[k - kinetic] for k in range(columns)]
     solution = np.array([guard.solution[column_map.place[rank]] for rank in ranks])
@@ -545,13 +552,6 @@ def test_a_merge_of_motor_blocks_is_ended_before_arcs_are_dropped(motion: Trajec
         assert bytes_of(ffi.addressof(motors.block[b])) == bytes_of(ffi.addressof(ended.block[b]))
 
 
-def matrix_of(gram: Any, width: int) -> Floats:
-    """(width, width) from its packed lower triangle."""
-    out = np.zeros((width, width))
-    out[np.tril_indices(width)] = np.frombuffer(ffi.buffer(gram))[: width * (width + 1) // 2]
-    return out + np.tril(out, -1).T
-
-
 @pytest.mark.parametrize("effects", [(), (effect("motor_viscous", "shoulder"), effect("torque_offset", "elbow"))])
 def test_what_arcs_are_compared_with_are_the_means_over_those_before(
     motion: Trajectory, effects: tuple[Effect, ...]
@@ -573,9 +573,9 @@ def test_what_arcs_are_compared_with_are_the_means_over_those_before(
         count, at = int(motors.column_map.count[i]), int(column_map.joint[i])
         further = [column_map.effects + e for e in list(motors.column_map.effect[i])[: count - 3]]
         x = np.array([solution[column_map.place[column]] for column in (at, at + 1, at + 2, *further)])
-        sums = sum(matrix_of(motors.block[b].joint[i].gram, count + 1) for b in range(motors.count))
+        sums = sum(symmetric(motors.block[b].joint[i].gram, count + 1) for b in range(motors.count))
         n = sum(motors.block[b].instants[i] for b in range(motors.count))
-        noise, ahead = matrix_of(motors.noise[i], count), np.append(x, -1.0)
+        noise, ahead = symmetric(motors.noise[i], count), np.append(x, -1.0)
         assert guard.motor[i].residual == pytest.approx(ahead @ sums @ ahead / n + x @ noise @ x, rel=1e-6)
         assert guard.motor[i].spread == pytest.approx(sums[-1, -1] / n, rel=1e-6)
     momentum = flight.native.momentum_sums
@@ -583,7 +583,7 @@ def test_what_arcs_are_compared_with_are_the_means_over_those_before(
     ranks = [k if k < kinetic else column_map.joint[k - kinetic] for k in range(columns)]
     x = np.array([solution[column_map.place[rank]] for rank in ranks])
     blocks = [momentum.block[b] for b in range(momentum.count)]
-    sums = sum(matrix_of(block.rows.gram, columns) for block in blocks) + matrix_of(momentum.noise_closed.gram, columns)
+    sums = sum(symmetric(block.rows.gram, columns) for block in blocks) + symmetric(momentum.noise_closed.gram, columns)
     n = sum(block.instants for block in blocks)
     assert momentum.count >= 3 and momentum.noise_fade == 1.0
     assert guard.momentum.residual == pytest.approx(x @ sums @ x / n, rel=1e-6)

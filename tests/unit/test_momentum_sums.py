@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_support import random_arm
-from flight_support import balanced, joined, part, sines
+from flight_support import balanced, joined, part, sines, symmetric
 from numpy.typing import NDArray
 from rows_support import awkward, smoothed, wandering
 from scipy.interpolate import CubicSpline
@@ -56,13 +56,6 @@ def sums_of(flight: Flight) -> Any:
     return ffi.addressof(flight.native, "momentum_sums")
 
 
-def matrix(packed: Any, width: int) -> Floats:
-    out = np.zeros((width, width))
-    rows, columns = np.tril_indices(width)
-    out[rows, columns] = out[columns, rows] = np.frombuffer(ffi.buffer(packed))[: len(rows)]
-    return out
-
-
 def closed(arm: Arm, cycles: Cycles) -> tuple[list[Floats], Floats, Any]:
     """Normal matrices of the blocks, the noise that was taken off them, and the sums; the open arc is ended."""
     flight = Flight(arm)
@@ -70,8 +63,8 @@ def closed(arm: Arm, cycles: Cycles) -> tuple[list[Floats], Floats, Any]:
     sums = sums_of(flight)
     assert lib.zygos_end_arcs(flight.native) == 1
     lib.zygos_momentum_sums_apply_fade(sums)
-    blocks = [matrix(sums.block[b].rows.gram, sums.columns) for b in range(sums.count)]
-    noise = matrix(sums.noise_closed.gram, sums.columns)
+    blocks = [symmetric(sums.block[b].rows.gram, sums.columns) for b in range(sums.count)]
+    noise = symmetric(sums.noise_closed.gram, sums.columns)
     return blocks, noise, (sums, flight)
 
 
@@ -173,17 +166,17 @@ def test_doubtful_cycles_take_their_arcs_along() -> None:
     flight = Flight(arm)
     flight.cycles(before)
     sums = sums_of(flight)
-    blocks = [(sums.block[b].end, matrix(sums.block[b].rows.gram, sums.columns)) for b in range(sums.count)]
-    noise = matrix(sums.noise_closed.gram, sums.columns)
+    blocks = [(sums.block[b].end, symmetric(sums.block[b].rows.gram, sums.columns)) for b in range(sums.count)]
+    noise = symmetric(sums.noise_closed.gram, sums.columns)
     instants = sum(sums.block[b].instants for b in range(sums.count))
     flight.cycles(joined(after))
     kept = [block for end, block in blocks if end <= 200]
     assert 0 < len(kept) < len(blocks)
     assert sums.count == len(kept)
     for b, block in enumerate(kept):
-        np.testing.assert_array_equal(matrix(sums.block[b].rows.gram, sums.columns), block)
+        np.testing.assert_array_equal(symmetric(sums.block[b].rows.gram, sums.columns), block)
     share = sum(sums.block[b].instants for b in range(sums.count)) / instants
-    assert_close(sums.noise_fade * matrix(sums.noise_closed.gram, sums.columns), share * noise, 1e-14)
+    assert_close(sums.noise_fade * symmetric(sums.noise_closed.gram, sums.columns), share * noise, 1e-14)
     assert lib.zygos_momentum_sums_check(sums) <= 1.0
 
 
@@ -196,9 +189,9 @@ def test_blocks_up_to_a_cycle_are_dropped_with_their_share_of_the_noise() -> Non
     assert lib.zygos_momentum_sums_drop_until(sums, ends[1]) == 2
     assert [int(sums.block[b].end) for b in range(sums.count)] == ends[2:]
     for b, whole in enumerate(blocks[2:]):
-        np.testing.assert_array_equal(matrix(sums.block[b].rows.gram, sums.columns), whole)
+        np.testing.assert_array_equal(symmetric(sums.block[b].rows.gram, sums.columns), whole)
     lib.zygos_momentum_sums_apply_fade(sums)
-    left = matrix(sums.noise_closed.gram, sums.columns)
+    left = symmetric(sums.noise_closed.gram, sums.columns)
     np.testing.assert_allclose(left, noise * sum(instants[2:]) / sum(instants), rtol=1e-12)
     assert lib.zygos_momentum_sums_check(sums) <= 1.0
     assert lib.zygos_momentum_sums_drop_until(sums, ends[1]) == 0
@@ -269,7 +262,7 @@ def test_sums_fade_with_the_arcs() -> None:
         [keep**age * kept.block[b].instants for b, age in enumerate(ages)]
     )
     assert lib.zygos_momentum_sums_check(sums) <= 1.0
-    assert np.trace(noise) < np.trace(matrix(kept.noise_closed.gram, kept.columns))
+    assert np.trace(noise) < np.trace(symmetric(kept.noise_closed.gram, kept.columns))
 
 
 def test_a_fixed_base_is_refused(tmp_path: Path) -> None:
@@ -400,11 +393,11 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     p, sums = len(found.names), work.momentum_sums
     places = [k for k, name in enumerate(found.names) if name.startswith(("N", "Im"))]
     blocks = [work.accumulator.block[place] for place in work.accumulator.order[0 : work.accumulator.open]]
-    parts = [matrix(block.gram, p + 2)[: p + 1, : p + 1] for block in blocks]
+    parts = [symmetric(block.gram, p + 2)[: p + 1, : p + 1] for block in blocks]
     factors = [sum(block.instants for block in blocks) / sum(block.square for block in blocks)] * len(parts)
     for b in range(sums.count):
         own = np.zeros((p + 1, p + 1))
-        own[np.ix_(places, places)] = work.solver.momentum_weight * matrix(sums.block[b].rows.gram, sums.columns)
+        own[np.ix_(places, places)] = work.solver.momentum_weight * symmetric(sums.block[b].rows.gram, sums.columns)
         parts.append(own)
         factors.append(1.0)
     assert sums.count == 8
@@ -430,7 +423,9 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     # the noise of the torques: as at many places of each block, between whose ends the sums of rows change evenly
     sums_of_rows, places_of = np.zeros(p), (np.arange(1000) + 0.5) / 1000.0
     for block in blocks:
-        step = np.array(list(lib.zygos_accumulator_deviation(ffi.addressof(work, "accumulator"), ffi.addressof(block))[0:p]))
+        step = np.array(
+            list(lib.zygos_accumulator_deviation(ffi.addressof(work, "accumulator"), ffi.addressof(block))[0:p])
+        )
         moved = np.array([solved(whole, sums_of_rows + share_of * step) for share_of in places_of])
         covariance += block.variance[0] * moved.T @ moved / len(places_of)
         sums_of_rows += step
