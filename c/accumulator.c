@@ -286,7 +286,9 @@ static void append_block(zygos_accumulator_t *self)
 static uint32_t entries_of_part(const zygos_accumulator_t *self)
 {
     const uint32_t size = zygos_gram_entries(self->width);
-    const uint32_t cycles = ZYGOS_PASS_CYCLES - ((self->task == ZYGOS_TASK_CENTRE) ? 1u : 0u);
+    /* An entry that is verified costs more than one whose constant is eliminated. */
+    const uint32_t more = (self->task == ZYGOS_TASK_VERIFY) ? 2u : ((self->task == ZYGOS_TASK_CENTRE) ? 0u : 1u);
+    const uint32_t cycles = ZYGOS_PASS_CYCLES - 1u + more;
     const uint32_t part = (size + cycles - 1u) / cycles;
     return (part > ZYGOS_LEAST_PART) ? part : ZYGOS_LEAST_PART;
 }

@@ -47,7 +47,7 @@ extern "C" {
 #define ZYGOS_SPARE_BLOCKS 3u
 /// Number of buffers: one is filled, one is added to the blocks, and a third waits after the end of an arc.
 #define ZYGOS_ROW_BUFFERS 3u
-/// Number of cycles in which a task reads or changes each entry of a block once, or one less.
+/// Number of cycles in which a task reads or changes each entry of a block once, one less or one more.
 #define ZYGOS_PASS_CYCLES 8u
 /// The least number of entries that it reads or changes in one cycle.
 #define ZYGOS_LEAST_PART 48u

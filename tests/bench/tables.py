@@ -31,8 +31,8 @@ WHOLE = {"paper, bare": 0.5, "spatial, bare": 0.9, "seven, bare": 0.9}
 """Most that kinematics, balance and accumulator take of the instructions of Pinocchio and Eigen for the same p."""
 NEEDED = ("frame", "smoother", "kinematics", "balance")
 """Stages that every design has."""
-FLAT, BESIDE = 1.55, 1.65
-"""Most that a cycle costs relative to the mean, and where now and then a joint row is formed beside an energy row."""
+FLAT = 1.51
+"""Most that a cycle costs relative to the mean."""
 QUARTER = 0.25
 """Most that balance and accumulator take of the instructions of Pinocchio, as it comes, and Eigen; paper's arm."""
 CLOCK_MHZ, CYCLES_PER_INSTRUCTION = 216.0, (1.0, 2.0)
@@ -191,11 +191,6 @@ def products(of: dict[tuple[str, str, str], dict[str, Any]], target: str, name: 
     at a time on x86-64, and one that does both on Cortex-M7."""
     columns = of[target, name, TOGETHER]["parameters"] + 2
     return columns * (columns + 1) / 2
-
-
-def flat(name: str) -> float:
-    """Most that a cycle of a configuration costs relative to the mean."""
-    return BESIDE if name in ("ground", "spatial, joint rows") else FLAT
 
 
 def floor(of: dict[tuple[str, str, str], dict[str, Any]], target: str, name: str) -> float:

@@ -110,7 +110,7 @@ def test_it_leaves_what_the_end_of_the_arcs_leaves(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["planar", "spatial"])
 def test_what_the_solver_leaves_where_rows_wait_is_not_read(kind: str) -> None:
     """Whatever there is when an arc begins: also where the next one ends with a buffer that is not full."""
-    arm, motion = run(kind)
+    motion = run(kind)[1]
     first, rest = len(motion) // 2, len(motion) - 3
     flights = [again(kind, first), again(kind, first)]
     for flight, value in zip(flights, (0.0, np.nan), strict=True):
