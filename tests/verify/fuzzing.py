@@ -64,7 +64,7 @@ def seeds_for(
     while time.monotonic() < until:
         done = subprocess.run([program, str(seed), *map(str, arguments)], capture_output=True, text=True, check=False)
         if done.returncode != 0:
-            text = (done.stdout + done.stderr).strip()
+            text = (done.stdout + done.stderr).strip().replace(f"{fuzz_support.ROOT}/", "")
             return seed - 999, [f"{driver} with seed {seed} ends with status {done.returncode}: {text[-300:]}"]
         seed += 1
     return seed - 1000, []
