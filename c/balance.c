@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out)
+static void assign_columns(const zygos_config_t *config, zygos_column_map_t *out)
 {
     memset(out, 0, sizeof *out);
     out->kinetic = zygos_kinetic_parameters(config);
@@ -19,6 +19,18 @@ void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *
     }
     out->effects = k;
     out->count = k + config->effects;
+}
+
+uint32_t zygos_balance_columns(const zygos_config_t *config)
+{
+    zygos_column_map_t column_map;
+    assign_columns(config, &column_map);
+    return column_map.count;
+}
+
+void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out)
+{
+    assign_columns(config, out);
     zygos_reduction_places(config, out);
 }
 

@@ -47,7 +47,7 @@ static void end_waiting(zygos_work_t *work)
 bool zygos_work_settle(zygos_work_t *work)
 {
     if ((work == NULL) || (work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
-        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
+        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_LAST_KINETIC) ||
         (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return false;
     }

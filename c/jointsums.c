@@ -86,11 +86,15 @@ static uint32_t slice_of(const zygos_config_t *config, uint32_t width, uint32_t 
     return (cycles > 0) ? (entries + cycles - 1u) / cycles : 0u;
 }
 
-/* How often two rows are added for each increment, with their noise. */
+static uint32_t pairs_of(uint32_t rows)
+{
+    return (rows + 1u) / 2u;
+}
+
+/* How often two rows are added for so many rows, with their noise. */
 static uint32_t passes_of(const zygos_config_t *config, uint32_t rows)
 {
-    const uint32_t pairs = (rows + 1u) / 2u;
-    return (config->compensation > 0) ? 2u * pairs : pairs;
+    return ((config->compensation > 0) ? 2u : 1u) * pairs_of(rows);
 }
 
 /* The rows of all joints are added in the cycles of a half in which none is formed. */
@@ -329,7 +333,7 @@ static void add_pair(zygos_joint_gram_t *to, const double (*z)[2], const double 
 static void add_waiting(zygos_joint_sums_t *self, const zygos_config_t *config, uint32_t entries)
 {
     zygos_joint_segment_t *segment = &self->segment[self->filling];
-    const uint32_t pairs = (self->waiting + 1u) / 2u;
+    const uint32_t pairs = pairs_of(self->waiting);
     const uint32_t passes = passes_of(config, self->waiting);
     uint32_t done = 0;
     while ((self->pass < passes) && (done < entries)) {
@@ -414,24 +418,21 @@ void zygos_joint_sums_set_aside(zygos_joint_sums_t *self, const zygos_config_t *
     end_segment(self, config, (uint32_t)ZYGOS_SET_ASIDE, anew, cycle, forgetting);
 }
 
-/* A row, or its noise, waits behind those before it. */
+/* A row, or its noise, waits behind those before it. The place beside it is empty until the next one comes. */
 static void put(zygos_joint_wait_t *wait, uint32_t k, const double *z, uint32_t width)
 {
-    double total = 0.0;
-    if (k % 2u == 0) {
-        for (uint32_t i = 0; i < width; i++) {
-            wait->pair[k / 2u][i][0] = z[i];
-            wait->pair[k / 2u][i][1] = 0.0;
-            total += z[i];
-        }
-        wait->total[k / 2u][1] = 0.0;
-    } else {
-        for (uint32_t i = 0; i < width; i++) {
-            wait->pair[k / 2u][i][1] = z[i];
-            total += z[i];
-        }
+    const uint32_t side = k % 2u;
+    double(*pair)[2] = wait->pair[k / 2u];
+    if (side == 0) {
+        memset(pair, 0, width * sizeof pair[0]);
+        memset(wait->total[k / 2u], 0, sizeof wait->total[0]);
     }
-    wait->total[k / 2u][k % 2u] = total;
+    double total = 0.0;
+    for (uint32_t i = 0; i < width; i++) {
+        pair[i][side] = z[i];
+        total += z[i];
+    }
+    wait->total[k / 2u][side] = total;
 }
 
 /* The noise of one signal in a row, and of the rotors behind springs. */

@@ -48,6 +48,9 @@ static bool keeps_joints(const zygos_config_t *config, const zygos_column_map_t 
 
 int zygos_reduction_check(const zygos_config_t *config)
 {
+    if (zygos_balance_columns(config) > (uint32_t)ZYGOS_MAX_COLUMNS) {
+        return ZYGOS_E_REDUCTION;
+    }
     if (config->reduced == 0) {
         zygos_column_map_t whole;
         zygos_balance_column_map(config, &whole);

@@ -132,7 +132,7 @@ static int check_config(const zygos_config_t *config)
     if ((config->joints < 1u) || (config->joints > ZYGOS_MAX_JOINTS)) {
         return ZYGOS_E_JOINTS;
     }
-    if (config->kinetic > ((ZYGOS_SPATIAL != 0) ? ZYGOS_SPATIAL_ARM : ZYGOS_PLANAR)) {
+    if (config->kinetic > (uint32_t)ZYGOS_LAST_KINETIC) {
         return ZYGOS_E_KINETIC;
     }
     if (!base_fits(config)) {

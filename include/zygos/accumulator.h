@@ -12,19 +12,19 @@
 ///
 /// All cycles cost nearly the same. The rows of ZYGOS_BUFFER_ROWS instants wait in a buffer; then their products are
 /// added to two blocks, slice by slice of the matrix, so that an entry is read and written once for all of them.
-/// Everything else that takes time in proportion to a block is a task that
-/// proceeds by a part in a cycle that neither opens a segment nor proceeds with a task of other rows: to verify the
-/// blocks of an arc that ended, to eliminate its constant, to compare it with the running solution (guard.h), to admit
-/// it to the closed arcs, to merge two blocks, and to clear one. An arc is closing from its end until it is admitted.
-/// An arc that ends while another one is closing waits until that one is admitted (zygos.h); the tasks also proceed in
-/// cycles without rows. Who reads the sums finishes these tasks on a copy first; the result is then the same
-/// as if they had been finished when the arc ended.
+/// Everything else that takes time in proportion to a block is a task that proceeds by a part in a cycle that neither
+/// opens a segment nor proceeds with a task of other rows: to verify the blocks of an arc that ended, to eliminate its
+/// constant, to compare it with the running solution (guard.h), to admit it to the closed arcs, to merge two blocks,
+/// and to clear one. An arc is closing from its end until it is admitted. An arc that ends while another one is closing
+/// waits until that one is admitted (zygos.h); the tasks also proceed in cycles without rows. Who reads the sums
+/// finishes these tasks on a copy first; the result is then the same as if they had been finished when the arc ended.
 ///
 /// The bias of the sums by noise (noise.h) is subtracted from the buffer that its instant is in, and is also summed for
 /// its whole arc.
 ///
-/// Every block contains its row sums: G 1 = sum holds up to rounding, unless memory was corrupted. The other members of
-/// a block of closed arcs, and the members that tell which blocks there are, have a checksum. In the open arc the
+/// Every block contains its row sums: G 1 = sum holds up to rounding, unless memory was corrupted. In a block of closed
+/// arcs that is so of all rows but the last, which has a checksum instead. The other members of such a block, and the
+/// members that tell which blocks there are, have a checksum too. In the open arc the
 /// number of instants is also in the sums, the weights are checked against the overlap with the neighbouring
 /// blocks, and what the noise of torques adds is stored twice. An arc that fails this test when it closes is dropped. A
 /// flipped bit of the members that tell which blocks there are is found by the checksum, and flipped back. A block that

@@ -78,6 +78,10 @@ typedef struct {
     uint32_t place[ZYGOS_MAX_COLUMNS]; ///< The parameter that stands for a column, and for no other; or ZYGOS_NO_PLACE.
 } zygos_column_map_t;
 
+/// Returns the number of columns. Needs the number of joints and the effects to be possible; with an arm that does not
+/// fit the build, or with gravity on a free base, it may exceed ZYGOS_MAX_COLUMNS.
+uint32_t zygos_balance_columns(const zygos_config_t *config);
+
 /// Computes the column indices and the places. Needs a checked configuration. Cost: a few passes over the reduction.
 void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out);
 

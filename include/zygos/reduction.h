@@ -21,8 +21,8 @@
 extern "C" {
 #endif
 
-/// Checks the reduction of a configuration whose other members are checked, and whether this build has room for the
-/// parameters. Returns 1 or ZYGOS_E_REDUCTION. Cost: a few passes over the entries.
+/// Checks the reduction of a configuration whose joints, base and effects are possible, and whether this build has room
+/// for the columns and the parameters. Returns 1 or ZYGOS_E_REDUCTION. Cost: a few passes over the entries.
 int zygos_reduction_check(const zygos_config_t *config);
 
 /// Computes the members reduced, parameters and place of a column map from the others. Needs a checked configuration.

@@ -301,6 +301,8 @@ enum zygos_kinetic {
     ZYGOS_PLANAR = 1,     ///< Parallel axes: (N+1)^2 columns.
     ZYGOS_SPATIAL_ARM = 2 ///< Any axes: (N+2)(2N+3) columns.
 };
+/// The last one that this build has.
+#define ZYGOS_LAST_KINETIC ((ZYGOS_SPATIAL != 0) ? ZYGOS_SPATIAL_ARM : ZYGOS_PLANAR)
 
 /// How the base can move.
 enum zygos_base {

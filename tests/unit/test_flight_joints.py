@@ -464,6 +464,23 @@ def test_which_reductions_are_refused() -> None:
     assert lib.zygos_init(ffi.new("zygos_t *"), config) == lib.ZYGOS_E_REDUCTION
 
 
+def test_a_reduction_of_more_columns_than_the_build_has_is_refused() -> None:
+    """Gravity on a free base, which only changed memory can say, has columns for which there is no room."""
+    config = config_of(random_arm(1, 7, "free", "spatial", True)[0])
+    config.reduced = config.reductions = 1
+    config.reduction[0].column, config.reduction[0].parameter, config.reduction[0].factor = 0, 0, 1.0
+    for i in range(config.joints):
+        config.joint[i].rigid = 1
+    capacity = len(ffi.new("zygos_column_map_t *").place)
+    few = lib.zygos_balance_columns(config)
+    assert few < capacity
+    assert lib.zygos_reduction_check(config) == 1
+    config.gravity[2] = -9.81
+    assert lib.zygos_balance_columns(config) == few + 2 * config.joints
+    config.effects = capacity - lib.zygos_balance_columns(config) + 1
+    assert lib.zygos_reduction_check(config) == lib.ZYGOS_E_REDUCTION
+
+
 def test_sums_are_those_of_the_columns_times_the_matrix() -> None:
     """Energy rows, joint rows and the noise of both, with a reduction of any factors."""
     known = random_ground(3, "spatial", 1500)
