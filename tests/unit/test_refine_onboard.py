@@ -797,6 +797,18 @@ def test_the_level_has_bounds(level: float, bound: float) -> None:
     assert task.native.level == bound
 
 
+def test_the_level_moves_towards_the_noise_of_the_torques() -> None:
+    """In a few windows, long before it is there: up where torques are noisier than declared, down where less."""
+    levels = []
+    for case in (Case(noise=0.02, declared=0.005), Case(noise=0.005, declared=0.02)):
+        flight, rest = learned(case.arm, flown(case, 0))
+        task = OnboardRefiner(case.arm, Onboard(window=20))
+        task.start(flight)
+        task.cycles(part(rest, slice(0, 400)))
+        levels.append(task.native.level)
+    assert levels[0] > 1.2 and levels[1] < 0.9, levels
+
+
 def test_a_window_begins_with_nothing() -> None:
     case = Case()
     flight, rest = learned(case.arm, flown(case, 0))
