@@ -5,32 +5,38 @@
 
 #include <string.h>
 
-static void assign_columns(const zygos_config_t *config, zygos_column_map_t *out)
+static uint32_t has_rotor(const zygos_config_t *config, uint32_t i)
+{
+    return ((config->joint[i].rigid == 0) || (i > 0) || (config->base == ZYGOS_BASE_FREE)) ? 1u : 0u;
+}
+
+static uint32_t columns_of_joint(const zygos_config_t *config, uint32_t i)
+{
+    return has_rotor(config, i) + ((config->joint[i].rigid == 0) ? 2u : 0u);
+}
+
+uint32_t zygos_balance_columns(const zygos_config_t *config)
+{
+    uint32_t count = zygos_kinetic_parameters(config) + zygos_gravity_parameters(config) + config->effects;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        count += columns_of_joint(config, i);
+    }
+    return count;
+}
+
+void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out)
 {
     memset(out, 0, sizeof *out);
     out->kinetic = zygos_kinetic_parameters(config);
     out->body = out->kinetic + zygos_gravity_parameters(config);
     uint32_t k = out->body;
     for (uint32_t i = 0; i < config->joints; i++) {
-        const bool flexible = (config->joint[i].rigid == 0);
         out->joint[i] = k;
-        out->rotor[i] = (flexible || (i > 0) || (config->base == ZYGOS_BASE_FREE)) ? 1u : 0u;
-        k += out->rotor[i] + (flexible ? 2u : 0u);
+        out->rotor[i] = has_rotor(config, i);
+        k += columns_of_joint(config, i);
     }
     out->effects = k;
     out->count = k + config->effects;
-}
-
-uint32_t zygos_balance_columns(const zygos_config_t *config)
-{
-    zygos_column_map_t column_map;
-    assign_columns(config, &column_map);
-    return column_map.count;
-}
-
-void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out)
-{
-    assign_columns(config, out);
     zygos_reduction_places(config, out);
 }
 
