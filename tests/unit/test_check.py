@@ -58,7 +58,8 @@ def check(flight: Flight) -> int:
 
 @cache
 def config() -> Any:
-    return ffi.new("zygos_config_t *", Flight(run()[0]).native.config)
+    flight = Flight(run()[0])  # it owns the memory that is copied
+    return ffi.new("zygos_config_t *", flight.native.config)
 
 
 def test_what_nobody_changed_passes(flight: Flight) -> None:

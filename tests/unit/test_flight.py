@@ -616,7 +616,8 @@ def test_too_few_data(arm: Arm, instants: int) -> None:
 
 def test_just_enough_data_are_not_refused_as_too_few(arm: Arm) -> None:
     """Each segment has a block of its own, and the first one two: eight are enough."""
-    segment = int(Flight(arm).native.accumulator.target)
+    flight = Flight(arm)
+    segment = int(flight.native.accumulator.target)
     for segments, few in ((6, True), (7, False)):
         instants = segments * segment
         estimate = fed(arm, balanced(arm, sines(arm, fill(arm) + instants), chosen(arm))).estimate()
