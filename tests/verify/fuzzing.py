@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from fuzz import fuzz_support
-from verify.result import BUILD, Result, judged, missing
+from verify.result import BUILD, Result, digest, judged, missing
 
 PLACE = BUILD / "fuzz"
 CAPACITIES = {"MAX_JOINTS": 2, "MAX_BLOCKS": 12, "SPATIAL": 0}
@@ -55,19 +55,28 @@ def bytes_for(program: Path, seconds: float, folder: Path) -> tuple[int, list[st
     return int(tried[1]) if tried else 0, [f"guided bytes: {what}; the input is {kept[1] if kept else 'not kept'}"]
 
 
+def first_seed() -> int:
+    """It follows from the sources: the same ones have the same seeds, others try what was not tried before."""
+    return int(digest(), 16) % 1_000_000_000
+
+
 def seeds_for(
     driver: str, build: Callable[[], Path], arguments: tuple[int, ...], seconds: float
 ) -> tuple[int, list[str]]:
-    """Run a driver of tests/fuzz with seeds 1000, 1001 .. until the time is over. Returns seeds and what they found."""
+    """Run a driver of tests/fuzz with one seed after the other until the time is over.
+
+    Returns how many seeds were tried, and what the last one found.
+    """
     program = build()
-    until, seed = time.monotonic() + seconds, 1000
+    first = first_seed()
+    until, seed = time.monotonic() + seconds, first
     while time.monotonic() < until:
         done = subprocess.run([program, str(seed), *map(str, arguments)], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             text = (done.stdout + done.stderr).strip().replace(f"{fuzz_support.ROOT}/", "")
-            return seed - 999, [f"{driver} with seed {seed} ends with status {done.returncode}: {text[-300:]}"]
+            return seed - first + 1, [f"{driver} with seed {seed} ends with status {done.returncode}: {text[-300:]}"]
         seed += 1
-    return seed - 1000, []
+    return seed - first, []
 
 
 def result(minutes: float) -> Result:

@@ -313,12 +313,13 @@ def test_a_crash_of_the_guided_fuzzer_is_told(tmp_path: Path) -> None:
 
 
 def test_a_driver_that_fails_is_told_with_its_seed(tmp_path: Path) -> None:
+    bad = fuzzing.first_seed() + 2
     program = tmp_path / "driver"
-    program.write_text("#!/bin/sh\ntest $1 -lt 1002 || { echo 'changed what it must not'; exit 1; }\n")
+    program.write_text(f"#!/bin/sh\ntest $1 -lt {bad} || {{ echo 'changed what it must not'; exit 1; }}\n")
     program.chmod(0o755)
     seeds, found = fuzzing.seeds_for("fuzz_frames", lambda: program, (2,), 20.0)
     assert seeds == 3
-    assert found == ["fuzz_frames with seed 1002 ends with status 1: changed what it must not"]
+    assert found == [f"fuzz_frames with seed {bad} ends with status 1: changed what it must not"]
 
 
 @pytest.mark.slow
