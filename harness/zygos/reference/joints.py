@@ -141,16 +141,21 @@ def _kept(
 ) -> tuple[Places, NDArray[np.bool_]]:
     """(m,) number of each increment's segment among those that the library kept, and (m,) whether it kept it.
 
-    A segment ends with the row of the last joint of its last accepted increment, or with the record.
+    The library ends a segment when it has added the last row, that of the last joint of the last accepted increment;
+    the cycle in which it says so is that of the row or a later one, before the next segment is complete.
     """
     told = samples.left_out.get("energy", frozenset()) if suffice(arm) else frozenset()
     kept = np.ones(len(segment), dtype=np.bool_)
     number = segment.copy()
-    for one in np.unique(segment[rows.accepted]) if told else []:
+    complete = np.unique(segment[rows.accepted])
+    formed = np.zeros(len(complete), dtype=np.int64)
+    for k, one in enumerate(complete.tolist()):
         last = int(np.flatnonzero((segment == one) & rows.accepted)[-1])
-        formed = min(int(rows.end[last]) + arm.n, len(smoothed.index) - 1)
-        end = int(samples.sync[smoothed.index[formed] + arm.smoother.lag])
-        if end in told or (one == segment[-1] and int(samples.sync[-1]) in told):
+        row = min(int(rows.end[last]) + arm.n, len(smoothed.index) - 1)
+        formed[k] = int(samples.sync[smoothed.index[row] + arm.smoother.lag])
+    for end in sorted(told):
+        if (formed <= end).any():
+            one = complete[np.argmax(np.where(formed <= end, formed, -1))]
             kept &= segment != one
             number -= segment > one
     return number, kept
