@@ -15,6 +15,7 @@ from zygos.can.run import Run
 from zygos.effects import effect
 from zygos.errors import Undecided
 from zygos.model.model import Model, Quantity, load_model
+from zygos.native.flight import Flight
 from zygos.refinement.inertia import inertia_errors
 from zygos.refinement.refine import Refinement, refine_runs
 from zygos.runs.cycles import Cycles
@@ -25,6 +26,8 @@ Floats = NDArray[np.float64]
 
 SIGMAS, SHARE = 5.0, 0.005
 """A published value may be off by so many sigmas, or by so much of its size; not by both."""
+LEARNED_S = 60.0
+"""From so much of a run comes the estimate with which the refinement begins."""
 
 
 @dataclass(frozen=True)
@@ -156,3 +159,27 @@ def score(case: Case, run: Run, prior: Model | None = None) -> Score:
         return Score(None, str(refused), nothing, nothing, None)
     inertia = inertia_errors(arm, found.value[None], truth) if arm.free and arm.spatial else None
     return Score(found, found.reason, (found.value - truth) / found.size, found.sigma / found.size, inertia)
+
+
+@cache
+def flown(case: Case, seed: int, duration_s: float = 120.0) -> Cycles:
+    """The cycles of a run, as the sensors of the case report them."""
+    scenario = load_scenario(ROOT / "examples" / case.example / "scenario.toml")
+    plants = plant(case.example, case.effects)
+    run = simulate(noisy(case.example, case.noise), plants, scenario, seeds=[seed], duration_s=duration_s,
+                   rtol=1e-6, atol=1e-8).cycles()  # fmt: skip
+    return reported(case, seed, run)
+
+
+def part(cycles: Cycles, chosen: slice | NDArray[np.bool_]) -> Cycles:
+    """Some of the cycles."""
+    names = ("sync", "q", "theta", "tau", "omega", "flags")
+    return replace(cycles, **{name: getattr(cycles, name)[chosen] for name in names})
+
+
+def learned(arm: Arm, cycles: Cycles) -> tuple[Flight, Cycles]:
+    """A flight that knows the first part of a run, and the rest."""
+    n = round(LEARNED_S / arm.period_s)
+    flight = Flight(arm)
+    flight.cycles(part(cycles, slice(0, n)))
+    return flight, part(cycles, slice(n, None))

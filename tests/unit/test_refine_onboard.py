@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from arm_support import arm_of_known_lengths, random_arm
 from numpy.typing import NDArray
-from refine_support import Case, drawing, noisy, plant, reported
+from refine_support import Case, drawing, flown, learned, part, plant
 from scipy.linalg import expm
 
 from conftest import ROOT
@@ -21,39 +20,12 @@ from zygos.native.refiner import Refiner, Settings
 from zygos.refinement.bound import bound
 from zygos.refinement.inertia import inertia_errors
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
-LEARNED_S = 60.0
-"""From so much of a run comes the estimate with which the refinement begins."""
 STEPS_LEVEL = 30.0
 """ZYGOS_REFINE_STEPS"""
 INNOVATIONS, LEVEL, APART, FAILED, ENERGY, WAITS = 4, 5, 6, 3, 2, 1
-
-
-@cache
-def flown(case: Case, seed: int, duration_s: float = 120.0) -> Cycles:
-    """The cycles of a run, as the sensors of the case report them."""
-    scenario = load_scenario(ROOT / "examples" / case.example / "scenario.toml")
-    plants = plant(case.example, case.effects)
-    run = simulate(noisy(case.example, case.noise), plants, scenario, seeds=[seed], duration_s=duration_s,
-                   rtol=1e-6, atol=1e-8).cycles()  # fmt: skip
-    return reported(case, seed, run)
-
-
-def part(cycles: Cycles, chosen: slice | NDArray[np.bool_]) -> Cycles:
-    """Some of the cycles."""
-    names = ("sync", "q", "theta", "tau", "omega", "flags")
-    return replace(cycles, **{name: getattr(cycles, name)[chosen] for name in names})
-
-
-def learned(arm: Arm, cycles: Cycles) -> tuple[Flight, Cycles]:
-    """A flight that knows the first part of a run, and the rest."""
-    n = round(LEARNED_S / arm.period_s)
-    flight = Flight(arm)
-    flight.cycles(part(cycles, slice(0, n)))
-    return flight, part(cycles, slice(n, None))
 
 
 def begun_with(arm: Arm, values: Floats, settings: Onboard | None = None) -> OnboardRefiner:
