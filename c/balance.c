@@ -5,9 +5,10 @@
 
 #include <string.h>
 
+/* Without a branch: at i > 0 gcc would see an index too large where the build has one joint. */
 static uint32_t has_rotor(const zygos_config_t *config, uint32_t i)
 {
-    return ((config->joint[i].rigid == 0) || (i > 0) || (config->base == ZYGOS_BASE_FREE)) ? 1u : 0u;
+    return (uint32_t)(config->joint[i].rigid == 0) | (uint32_t)(i > 0) | (uint32_t)(config->base == ZYGOS_BASE_FREE);
 }
 
 static uint32_t columns_of_joint(const zygos_config_t *config, uint32_t i)
