@@ -147,6 +147,13 @@ def part(cycles: Cycles, start: int, stop: int) -> Cycles:
     return Cycles(*(getattr(cycles, name)[start:stop] for name in Cycles.__dataclass_fields__))
 
 
+def copy_of(flight: Flight) -> Flight:
+    """Another one with the same memory, which may be changed."""
+    out = Flight(flight.arm, flight.effects)
+    ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
+    return out
+
+
 def bytes_of(pointer: Any) -> bytes:
     return bytes(ffi.buffer(pointer))
 

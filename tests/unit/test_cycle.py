@@ -807,3 +807,14 @@ def test_frame_records_match_the_c_struct() -> None:
     assert {name: FRAME.fields[name][1] for name in FRAME.names} == {
         name: field.offset for name, field in ffi.typeof("zygos_frame_t").fields
     }
+
+
+@pytest.mark.parametrize("place", ["head", "tail"])
+def test_the_queue_has_one_place_more_than_cycles(place: str) -> None:
+    receiver = ffi.new("zygos_receiver_t *")
+    lib.zygos_receiver_init(receiver)
+    last = len(receiver.queue.slot) - 1
+    setattr(receiver.queue, place, last)
+    assert lib.zygos_receiver_intact(receiver)
+    setattr(receiver.queue, place, last + 1)
+    assert not lib.zygos_receiver_intact(receiver)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from flight_support import copy_of
 from soak_support import fly, settle, stored, with_all_rows
 
 from zygos.arm import Arm
-from zygos.effects import effect
 from zygos.model.model import Model
 from zygos.native.flight import Flight, ffi, lib
 from zygos.simulation.scenario import Scenario
-
-BYTES = 40
-"""Of a memory under a checksum: five words."""
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +27,7 @@ def flown(arm: Arm, model: Model, scenario: Scenario) -> Flight:
 @pytest.fixture
 def flight(flown: Flight) -> Flight:
     """A copy that may be changed."""
-    out = Flight(flown.arm)
-    ffi.memmove(out.native, flown.native, ffi.sizeof("zygos_t"))
-    return out
+    return copy_of(flown)
 
 
 def member(flight: Flight, name: str) -> Any:
@@ -83,34 +77,3 @@ def test_blocks_that_are_forgotten_have_all_places(flight: Flight) -> None:
     assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_NOTHING) == 1
     assert sorted(sums.order[k] for k in range(places)) == list(range(places))
     assert flight.native.scrubbed == flight.native.cycle > 0
-
-
-@pytest.mark.parametrize("place", ["head", "tail"])
-def test_the_queue_has_one_place_more_than_cycles(flight: Flight, place: str) -> None:
-    receiver = member(flight, "receiver")
-    last = len(receiver.queue.slot) - 1
-    setattr(receiver.queue, place, last)
-    assert lib.zygos_receiver_intact(receiver)
-    setattr(receiver.queue, place, last + 1)
-    assert not lib.zygos_receiver_intact(receiver)
-
-
-@pytest.mark.parametrize("size", range(BYTES - 8, BYTES + 1))
-def test_every_byte_is_under_the_checksum(size: int) -> None:
-    memory = ffi.new("uint8_t[]", BYTES)
-    before = lib.zygos_checksum_memory(1, memory, size)
-    for place in range(BYTES):
-        memory[place] ^= 4
-        assert (lib.zygos_checksum_memory(1, memory, size) != before) == (place < size)
-        memory[place] ^= 4
-
-
-def test_noise_is_taken_from_every_column_however_often_it_is_computed(arm: Arm) -> None:
-    """Where it is computed for one signal in each instant, or for all of them."""
-    viscous = (effect("motor_viscous", "elbow"),)
-    for every in (1, 2, 5):
-        noise = Flight(replace(arm, compensate_every=every), viscous).native
-        bias = noise.noise.integral_bias
-        assert bias.effect[0] > 0.0 and min(bias.dissipation[i] for i in range(arm.n)) > 0.0
-    none = Flight(replace(arm, compensate_every=0), viscous).native
-    assert none.noise.integral_bias.effect[0] == pytest.approx(0.0)

@@ -652,3 +652,14 @@ def test_more_columns_than_the_build_knows_are_corrupt() -> None:
     for joints in (1, 3):
         out = solved([], joints=joints, n=100)
         assert (out.validity, out.reason) == (lib.ZYGOS_REFUSED, lib.ZYGOS_REASON_CORRUPT)
+
+
+def test_noise_is_taken_from_every_column_however_often_it_is_computed(arm: Arm) -> None:
+    """Where it is computed for one signal in each instant, or for all of them."""
+    viscous = (effect("motor_viscous", "elbow"),)
+    for every in (1, 2, 5):
+        noise = Flight(replace(arm, compensate_every=every), viscous).native
+        bias = noise.noise.integral_bias
+        assert bias.effect[0] > 0.0 and min(bias.dissipation[i] for i in range(arm.n)) > 0.0
+    none = Flight(replace(arm, compensate_every=0), viscous).native
+    assert none.noise.integral_bias.effect[0] == pytest.approx(0.0)

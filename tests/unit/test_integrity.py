@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import part
+from flight_support import copy_of, part
 from soak_support import again, fly, settle, stored, with_all_rows
 
 from zygos.arm import Arm
@@ -174,8 +174,7 @@ def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cyc
     """Blocks that merge or fade, and an arc that closes, do not hide what was changed before."""
 
     def other() -> Flight:
-        out = Flight(flight.arm)
-        ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
+        out = copy_of(flight)
         out.native.config.forgetting_factor = keep
         return out
 
@@ -210,8 +209,7 @@ def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cyc
 def test_a_flip_is_remembered_when_the_arcs_behind_it_are_dropped(flight: Flight) -> None:
     """The block before them shares nothing any more, for which it gets another checksum."""
     for damaged in (False, True):
-        out = Flight(flight.arm)
-        ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
+        out = copy_of(flight)
         sums = ffi.addressof(out.native, "accumulator")
         order = list(sums.order[0 : sums.open])
         arcs = sorted({int(sums.block[place].end) for place in order})
@@ -306,8 +304,7 @@ def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(
     kind: str, damage: Callable[[Any, float], None], off: float, flight: Flight, motion: Cycles
 ) -> None:
     """It is counted; what closed before it and what comes behind it are used."""
-    out = Flight(flight.arm)
-    ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
+    out = copy_of(flight)
     sums = getattr(out.native, kind)
 
     def closed() -> list[tuple[int, int]]:
@@ -324,3 +321,13 @@ def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(
     fly(out, motion, 1, np.random.default_rng(2))
     assert sums.quarantined == 1
     assert out.estimate().validity == "valid"
+
+
+@pytest.mark.parametrize("size", range(32, 41))
+def test_every_byte_is_under_the_checksum(size: int) -> None:
+    memory = ffi.new("uint8_t[]", 40)
+    before = lib.zygos_checksum_memory(1, memory, size)
+    for place in range(len(memory)):
+        memory[place] ^= 4
+        assert (lib.zygos_checksum_memory(1, memory, size) != before) == (place < size)
+        memory[place] ^= 4

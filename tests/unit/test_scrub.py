@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import bytes_of, part
+from flight_support import bytes_of, copy_of, part
 from ground_support import seen, short_arm, torque_of
 from soak_support import again, fly, resealed, settle, stored, with_all_rows
 
@@ -48,9 +48,7 @@ def flown(arm: Arm, motion: Cycles) -> Flight:
 @pytest.fixture
 def flight(flown: Flight) -> Flight:
     """A copy that may be damaged."""
-    out = Flight(flown.arm)
-    ffi.memmove(out.native, flown.native, ffi.sizeof("zygos_t"))
-    return out
+    return copy_of(flown)
 
 
 def flip(struct: Any, member: str, bit: int, index: int = 0) -> None:
@@ -266,8 +264,7 @@ def test_it_is_flipped_back_before_the_blocks_change(
     flight: Flight, flown: Flight, kind: str, change: str, value: float
 ) -> None:
     """The checksum that is made behind a change must not confirm what was wrong before it."""
-    whole = Flight(flown.arm)
-    ffi.memmove(whole.native, flown.native, ffi.sizeof("zygos_t"))
+    whole = copy_of(flown)
     flip(getattr(flight.native, kind), "target", 2)
     for one in (whole, flight):
         getattr(lib, f"zygos_{kind}_{change}")(ffi.addressof(one.native, kind), value)
@@ -627,9 +624,7 @@ def ground() -> tuple[Flight, Cycles]:
 @pytest.fixture
 def grounded(ground: tuple[Flight, Cycles]) -> Flight:
     """A copy that may be damaged."""
-    out = Flight(ground[0].arm, ground[0].effects)
-    ffi.memmove(out.native, ground[0].native, ffi.sizeof("zygos_t"))
-    return out
+    return copy_of(ground[0])
 
 
 def scalars(struct: Any) -> list[tuple[str, int]]:

@@ -147,6 +147,8 @@ def _kept(
     told = samples.left_out.get("energy", frozenset()) if suffice(arm) else frozenset()
     kept = np.ones(len(segment), dtype=np.bool_)
     number = segment.copy()
+    if not told:
+        return number, kept
     complete = np.unique(segment[rows.accepted])
     formed = np.zeros(len(complete), dtype=np.int64)
     for k, one in enumerate(complete.tolist()):
