@@ -48,13 +48,12 @@ static bool keeps_joints(const zygos_config_t *config, const zygos_column_map_t 
 
 int zygos_reduction_check(const zygos_config_t *config)
 {
-    if (zygos_balance_columns(config) > (uint32_t)ZYGOS_MAX_COLUMNS) {
+    const uint32_t columns = zygos_balance_columns(config);
+    if (columns > (uint32_t)ZYGOS_MAX_COLUMNS) {
         return ZYGOS_E_REDUCTION;
     }
     if (config->reduced == 0) {
-        zygos_column_map_t whole;
-        zygos_balance_column_map(config, &whole);
-        const bool good = (config->reductions == 0) && (whole.count <= (uint32_t)ZYGOS_MAX_PARAMETERS);
+        const bool good = (config->reductions == 0) && (columns <= (uint32_t)ZYGOS_MAX_PARAMETERS);
         return good ? 1 : ZYGOS_E_REDUCTION;
     }
     /* The map is computed without the reduction first, whose entries are not checked yet. */

@@ -24,11 +24,10 @@
 ///
 /// Every block contains its row sums: G 1 = sum holds up to rounding, unless memory was corrupted. In a block of closed
 /// arcs that is so of all rows but the last, which has a checksum instead. The other members of such a block, and the
-/// members that tell which blocks there are, have a checksum too. In the open arc the
-/// number of instants is also in the sums, the weights are checked against the overlap with the neighbouring
-/// blocks, and what the noise of torques adds is stored twice. An arc that fails this test when it closes is dropped. A
-/// flipped bit of the members that tell which blocks there are is found by the checksum, and flipped back. A block that
-/// merges keeps a wrong checksum.
+/// members that tell which blocks there are, have a checksum too. In the open arc the number of instants is also in the
+/// sums, the weights are checked against the overlap with the neighbouring blocks, and what the noise of torques adds
+/// is stored twice. An arc that fails this test when it closes is dropped. A flipped bit of the members that tell which
+/// blocks there are is found by the checksum, and flipped back. A block that merges keeps a wrong checksum.
 
 #ifndef ZYGOS_ACCUMULATOR_H
 #define ZYGOS_ACCUMULATOR_H

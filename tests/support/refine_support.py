@@ -171,7 +171,7 @@ def flown(case: Case, seed: int, duration_s: float = 120.0) -> Cycles:
     return reported(case, seed, run)
 
 
-def part(cycles: Cycles, chosen: slice | NDArray[np.bool_]) -> Cycles:
+def selected(cycles: Cycles, chosen: slice | NDArray[np.bool_]) -> Cycles:
     """Some of the cycles."""
     names = ("sync", "q", "theta", "tau", "omega", "flags")
     return replace(cycles, **{name: getattr(cycles, name)[chosen] for name in names})
@@ -181,5 +181,5 @@ def learned(arm: Arm, cycles: Cycles) -> tuple[Flight, Cycles]:
     """A flight that knows the first part of a run, and the rest."""
     n = round(LEARNED_S / arm.period_s)
     flight = Flight(arm)
-    flight.cycles(part(cycles, slice(0, n)))
-    return flight, part(cycles, slice(n, None))
+    flight.cycles(selected(cycles, slice(0, n)))
+    return flight, selected(cycles, slice(n, None))

@@ -169,6 +169,20 @@ def test_what_says_which_blocks_there_are(flight: Flight) -> None:
     flip(flight, listed, (0, 1, 2, 5, 9, 20, 31, 40, 51, 52, 55, 62, 63), silent=True)
 
 
+def test_places_that_cannot_be_are_given_anew(flight: Flight, motion: Cycles) -> None:
+    """A place that no block has, and one that several have: each rank gets one of its own, and the sums are refused."""
+    damaged = copy_of(flight)
+    sums = damaged.native.accumulator
+    places = len(sums.order)
+    sums.order[0] = places
+    for rank in range(1, places):
+        sums.order[rank] = 1
+    damaged.cycles(part(motion, 0, 300))
+    assert sorted(sums.order) == list(range(places))
+    assert sums.corrupt
+    assert damaged.estimate().reason == CORRUPT
+
+
 @pytest.mark.parametrize("keep", [1.0, 1.0 - 1e-5])
 def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cycles, keep: float) -> None:
     """Blocks that merge or fade, and an arc that closes, do not hide what was changed before."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from refine_support import Case, flown, learned, part
+from refine_support import Case, flown, learned, selected
 
 from zygos.native.flight import Flight, ffi
 from zygos.native.refine import OnboardRefiner
@@ -37,7 +37,7 @@ def deviations(native: Any) -> Floats:
 def begin(task: OnboardRefiner, rest: Cycles) -> int:
     """Cycles until the state has begun. The readings of that cycle tell nothing about rates."""
     for k in range(len(rest)):
-        task.cycles(part(rest, slice(k, k + 1)))
+        task.cycles(selected(rest, slice(k, k + 1)))
         if task.native.moving:
             return k + 1
     raise AssertionError("no state")
@@ -63,17 +63,17 @@ def test_a_state_begins_with_four_readings_that_are_apart(apart: int) -> None:
 @pytest.mark.parametrize("place", range(9))
 def test_a_member_of_a_state_that_is_too_large_ends_the_refinement(place: int) -> None:
     _, task, _, rest = started()
-    task.cycles(part(rest, slice(0, 20)))
+    task.cycles(selected(rest, slice(0, 20)))
     assert task.native.filter.propagation.moving == 9 and task.native.filter.failed == 0
     task.native.filter.x[place] += 3e6
-    task.cycles(part(rest, slice(20, 22)))
+    task.cycles(selected(rest, slice(20, 22)))
     assert task.native.filter.failed == 1
 
 
 def test_what_is_told_is_what_was_found() -> None:
     _, task, flight, rest = started()
-    task.cycles(part(rest, slice(0, 1000)))
-    flight.cycles(part(rest, slice(0, 1000)))
+    task.cycles(selected(rest, slice(0, 1000)))
+    flight.cycles(selected(rest, slice(0, 1000)))
     told = task.judge(flight)
     native = task.native
     assert told.used == native.used > 0

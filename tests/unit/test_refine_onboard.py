@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arm_support import arm_of_known_lengths, random_arm
 from numpy.typing import NDArray
-from refine_support import Case, drawing, flown, learned, part, plant
+from refine_support import Case, drawing, flown, learned, plant, selected
 from scipy.linalg import expm
 
 from conftest import ROOT
@@ -63,7 +63,7 @@ def test_it_is_the_whole_filter() -> None:
     task = OnboardRefiner(arm, Onboard(window=100_000))  # no window ends, so that the level stays
     task.start(flight)
     n = 5
-    task.cycles(part(rest, slice(0, n - 1)))  # the state begins with the fourth
+    task.cycles(selected(rest, slice(0, n - 1)))  # the state begins with the fourth
     entries = task.native.filter.entries
     x = np.frombuffer(ffi.buffer(task.native.filter.x), dtype=np.float64)[:entries].copy()
     packed = np.frombuffer(ffi.buffer(task.native.filter.root), dtype=np.float64)
@@ -75,7 +75,7 @@ def test_it_is_the_whole_filter() -> None:
     for k in range(n - 1, len(rest)):
         whole.advance(rest.tau[k - 1])
         whole.read(rest.q[k], rest.theta[k], rest.omega[k])
-    task.cycles(part(rest, slice(n - 1, None)))
+    task.cycles(selected(rest, slice(n - 1, None)))
     (ours, deviation), (theirs, covariance) = task.estimate, whole.estimate()
     expected = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(deviation, expected, rtol=0.01)
@@ -104,10 +104,10 @@ def test_the_work_of_a_cycle_is_bounded() -> None:
     flight, rest = learned(arm, flown(Case(), 0))
     task = OnboardRefiner(arm)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 4)))
+    task.cycles(selected(rest, slice(0, 4)))
     slices = set()
     for k in range(4, 400):
-        lib.zygos_refine_cycle(task.native, cycles_to_native(part(rest, slice(k, k + 1))))
+        lib.zygos_refine_cycle(task.native, cycles_to_native(selected(rest, slice(k, k + 1))))
         count = 0
         while lib.zygos_refine_step(task.native, task._config) == 1:
             count += 1
@@ -120,9 +120,9 @@ def test_a_full_queue_is_counted_and_bridged() -> None:
     flight, rest = learned(arm, flown(Case(), 0))
     task = OnboardRefiner(arm)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 100)))
-    task.cycles(part(rest, slice(100, 120)), slices=0)  # nobody works for 20 cycles, and the queue holds 8
-    task.cycles(part(rest, slice(120, 600)))
+    task.cycles(selected(rest, slice(0, 100)))
+    task.cycles(selected(rest, slice(100, 120)), slices=0)  # nobody works for 20 cycles, and the queue holds 8
+    task.cycles(selected(rest, slice(120, 600)))
     assert task.native.overrun == 12 and task.native.lost == 12
     assert task.native.restarts == 0 and task.native.filter.failed == 0
 
@@ -137,8 +137,8 @@ def test_lost_cycles_are_bridged(lost: int) -> None:
         kept[k : k + lost] = False
     task = OnboardRefiner(case.arm)
     task.start(flight)
-    task.cycles(part(rest, kept))
-    flight.cycles(part(rest, kept))
+    task.cycles(selected(rest, kept))
+    flight.cycles(selected(rest, kept))
     answer = task.judge(flight)
     assert (answer.lost, answer.restarts) == (9 * lost, 0)
     assert answer.published and np.all(answer.nis < 1.5)
@@ -151,12 +151,12 @@ def test_after_a_long_gap_the_state_begins_anew() -> None:
     kept[400:421] = False
     task = OnboardRefiner(case.arm)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 400)))
+    task.cycles(selected(rest, slice(0, 400)))
     before = task.estimate
-    task.cycles(part(rest, slice(421, 423)))
+    task.cycles(selected(rest, slice(421, 423)))
     np.testing.assert_array_equal(task.estimate[0], before[0])
-    task.cycles(part(rest, slice(423, None)))
-    flight.cycles(part(rest, kept))
+    task.cycles(selected(rest, slice(423, None)))
+    flight.cycles(selected(rest, kept))
     answer = task.judge(flight)
     assert (answer.lost, answer.restarts) == (0, 1)
     assert answer.published and np.all(task.estimate[1] < before[1])
@@ -192,7 +192,7 @@ def test_what_was_not_as_expected_is_awaited_four_times_as_long() -> None:
     limits = 1.0 + 0.1 + 3.0 * np.sqrt(2.0 / counts)
     expected, windows, longest, waited = 0, 0, 0, 0
     for k in range(0, 1600):
-        cycle = part(rest, slice(k, k + 1))
+        cycle = selected(rest, slice(k, k + 1))
         task.cycles(cycle)
         if task.native.windows == windows:
             continue
@@ -219,10 +219,10 @@ def test_a_start_that_is_off_beside_torques_noisier_than_declared_does_no_harm(s
     prior = truth * (1.0 + 0.043 * np.random.default_rng(seed).standard_normal(len(truth)))
     flight, task = Flight(case.arm), OnboardRefiner(case.arm, Onboard(every=1, terms=6))
     begin, judged = 20_000, 0
-    flight.cycles(part(cycles, slice(0, begin)))
+    flight.cycles(selected(cycles, slice(0, begin)))
     task.start(flight, prior)
     for k in range(begin, len(cycles), 400):
-        piece = part(cycles, slice(k, k + 400))
+        piece = selected(cycles, slice(k, k + 400))
         task.cycles(piece)
         flight.cycles(piece)
         answer = task.judge(flight)
@@ -312,13 +312,13 @@ def test_what_is_not_refined_is_the_estimate_from_energy_rows() -> None:
     assert before.reason == WAITS and not before.published
     np.testing.assert_array_equal(before.value, flight.estimate().value)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 100)))
+    task.cycles(selected(rest, slice(0, 100)))
     assert task.judge(flight).reason == WAITS  # fewer than four windows
     empty = Flight(case.arm)
     assert task.judge(empty).reason == ENERGY
-    task.cycles(part(rest, slice(100, 101)))
+    task.cycles(selected(rest, slice(100, 101)))
     flags = np.array([lib.ZYGOS_CYCLE_VOID], dtype=np.uint32)
-    task.cycles(replace(part(rest, slice(101, 102)), flags=flags))
+    task.cycles(replace(selected(rest, slice(101, 102)), flags=flags))
     assert task.judge(flight).reason == FAILED  # what it has used cannot be taken back
     task.start(flight)
     assert task.judge(flight).reason == WAITS
@@ -331,7 +331,7 @@ def test_the_first_values_are_told_after_four_windows() -> None:
     task.start(flight)
     told = []
     for k in range(0, 520, 20):
-        task.cycles(part(rest, slice(k, k + 20)))
+        task.cycles(selected(rest, slice(k, k + 20)))
         told.append((int(task.native.windows), task.judge(flight).reason != WAITS))
     assert {known for windows, known in told if windows < 4} == {False}
     assert {known for windows, known in told if windows >= 4} == {True}
@@ -403,7 +403,7 @@ def test_a_call_without_its_arguments_changes_nothing() -> None:
     flight, rest = learned(case.arm, flown(case, 0))
     task = OnboardRefiner(case.arm)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 10)))
+    task.cycles(selected(rest, slice(0, 10)))
     before = bytes(ffi.buffer(task.native))
     native, config, estimate, null = task.native, task._config, flight._estimate, ffi.NULL
     settings, out = ffi.new("zygos_refine_settings_t *"), ffi.new("zygos_refined_t *")
@@ -442,7 +442,7 @@ def test_values_of_a_model_stand_in_for_what_the_estimate_leaves_open() -> None:
     assert start(values) == 1
     value, sigma = task.estimate
     assert value[3] == pytest.approx(truth[3]) and 0.005 < sigma[3] / abs(truth[3]) < 0.012
-    task.cycles(part(rest, slice(0, 200)))
+    task.cycles(selected(rest, slice(0, 200)))
     assert task.native.filter.failed == 0
     values[3] = float("inf")
     assert start(values) == lib.ZYGOS_E_VALUE
@@ -522,8 +522,8 @@ def test_readings_may_be_used_every_second_cycle_also_over_gaps() -> None:
         kept[200 + 150 * k : 200 + 150 * k + lost] = False
     task = OnboardRefiner(case.arm, Onboard(every=2, window=50))
     task.start(flight)
-    task.cycles(part(rest, kept))
-    flight.cycles(part(rest, kept))
+    task.cycles(selected(rest, kept))
+    flight.cycles(selected(rest, kept))
     answer = task.judge(flight)
     assert (answer.lost, answer.restarts) == (12, 0)
     assert answer.published
@@ -545,7 +545,7 @@ def with_readings_every(arm: Arm, every: int, cycles: Cycles) -> OnboardRefiner:
     yet to be moved."""
     task, table = begun_with(arm, plant("spatial").base_values(arm), Onboard(every=every, terms=20, window=20)), 5
     for k in range(len(cycles)):
-        lib.zygos_refine_cycle(task.native, cycles_to_native(part(cycles, slice(k, k + 1))))
+        lib.zygos_refine_cycle(task.native, cycles_to_native(selected(cycles, slice(k, k + 1))))
         while lib.zygos_refine_step(task.native, task._config) == 1:
             if task.native.phase == table and task.native.used > 2:
                 assert task.native.filter.failed == 0
@@ -669,7 +669,7 @@ def test_where_a_cycle_was_lost_the_newest_readings_are_used() -> None:
     task, leads = begun_with(case.arm, plant("spatial").base_values(case.arm), Onboard(every=20, window=20)), []
     for k in np.flatnonzero(kept):
         before = task.native.used
-        task.cycles(part(cycles, slice(k, k + 1)))
+        task.cycles(selected(cycles, slice(k, k + 1)))
         if task.native.used > before:
             leads.append(task.native.work.leads)
     assert leads.count(0) == 2 and leads[0] == 0 and set(leads) == {0, 9}  # one of them is the beginning
@@ -693,11 +693,11 @@ def test_a_state_that_cannot_be_ends_the_refinement(place: str, value: float) ->
     flight, rest = learned(case.arm, flown(case, 0))
     task = OnboardRefiner(case.arm)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 20)))
+    task.cycles(selected(rest, slice(0, 20)))
     assert task.native.filter.failed == 0
     at = {"angle": 0, "rate": 6, "inertia": task.native.filter.fast}
     task.native.filter.x[at[place]] = value
-    task.cycles(part(rest, slice(20, 24)))
+    task.cycles(selected(rest, slice(20, 24)))
     assert task.native.filter.failed == 1
     assert task.judge(flight).reason == FAILED
     assert lib.zygos_refine_step(task.native, task._config) == 0
@@ -710,18 +710,18 @@ def test_what_does_not_follow_from_the_cycle_before_ends_the_state(how: str) -> 
     flight, rest = learned(case.arm, flown(case, 0))
     task = OnboardRefiner(case.arm)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 100)))
+    task.cycles(selected(rest, slice(0, 100)))
     assert (task.native.restarts, task.native.moving) == (0, 1)
     if how == "repeated":
-        task.cycles(part(rest, slice(99, 100)))
+        task.cycles(selected(rest, slice(99, 100)))
     elif how == "break":
         flags = np.array([lib.ZYGOS_CYCLE_BREAK], dtype=np.uint32)
-        task.cycles(replace(part(rest, slice(100, 101)), flags=flags))
+        task.cycles(replace(selected(rest, slice(100, 101)), flags=flags))
     else:  # both encoders of a joint have passed the end of their range
-        one = part(rest, slice(100, 101))
+        one = selected(rest, slice(100, 101))
         task.cycles(replace(one, q=one.q + np.array([60.0, 0.0]), theta=one.theta + np.array([60.0, 0.0])))
     assert (task.native.restarts, task.native.moving) == (1, 0)
-    task.cycles(part(rest, slice(101, 200)))
+    task.cycles(selected(rest, slice(101, 200)))
     assert (task.native.restarts, task.native.moving, task.native.filter.failed) == (1, 1, 0)
 
 
@@ -731,8 +731,8 @@ def test_derivatives_that_do_not_exist_end_the_refinement() -> None:
     flight, rest = learned(case.arm, flown(case, 0))
     task = OnboardRefiner(case.arm)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 20)))
-    lib.zygos_refine_cycle(task.native, cycles_to_native(part(rest, slice(20, 21))))
+    task.cycles(selected(rest, slice(0, 20)))
+    lib.zygos_refine_cycle(task.native, cycles_to_native(selected(rest, slice(20, 21))))
     while task.native.phase != slopes:
         assert lib.zygos_refine_step(task.native, task._config) == 1
     for row in task.native.work.dynamics.matrix:
@@ -750,7 +750,7 @@ def test_a_phase_that_cannot_be_ends_the_refinement_and_the_loop_of_its_steps(ph
     flight, rest = learned(case.arm, flown(case, 0))
     task = OnboardRefiner(case.arm)
     task.start(flight)
-    task.cycles(part(rest, slice(0, 20)))
+    task.cycles(selected(rest, slice(0, 20)))
     task.native.phase = phase
     assert [lib.zygos_refine_step(task.native, task._config) for _ in range(3)] == [1, 0, 0]
     assert task.judge(flight).reason == FAILED
@@ -762,9 +762,9 @@ def test_the_level_has_bounds(level: float, bound: float) -> None:
     flight, rest = learned(case.arm, flown(case, 0))
     task = OnboardRefiner(case.arm, Onboard(window=20))
     task.start(flight)
-    task.cycles(part(rest, slice(0, 10)))
+    task.cycles(selected(rest, slice(0, 10)))
     task.native.level = level
-    task.cycles(part(rest, slice(10, 25)))
+    task.cycles(selected(rest, slice(10, 25)))
     assert task.native.windows == 1
     assert task.native.level == bound
 
@@ -776,7 +776,7 @@ def test_the_level_moves_towards_the_noise_of_the_torques() -> None:
         flight, rest = learned(case.arm, flown(case, 0))
         task = OnboardRefiner(case.arm, Onboard(window=20))
         task.start(flight)
-        task.cycles(part(rest, slice(0, 400)))
+        task.cycles(selected(rest, slice(0, 400)))
         levels.append(task.native.level)
     assert levels[0] > 1.2 and levels[1] < 0.9, levels
 
@@ -788,7 +788,7 @@ def test_a_window_begins_with_nothing() -> None:
     task.start(flight)
     begun = 0
     for k in range(50):
-        task.cycles(part(rest, slice(k, k + 1)))
+        task.cycles(selected(rest, slice(k, k + 1)))
         native = task.native
         sums = [*native.count, *native.square, *native.largest, native.score, native.share]
         begun += native.used > 0 and native.used % 20 == 0
@@ -804,7 +804,7 @@ def test_torques_noisier_than_declared_widen_what_is_stated() -> None:
         task = OnboardRefiner(case.arm, Onboard(window=100_000))  # no window ends, so that the level stays
         task.start(flight)
         task.native.level = level
-        task.cycles(part(rest, slice(0, 400)))
+        task.cycles(selected(rest, slice(0, 400)))
         stated.append(task.estimate[1])
     assert (stated[1] >= stated[0]).all() and (stated[1] > 1.05 * stated[0]).any()
 
@@ -863,7 +863,7 @@ def test_torques_that_act_in_the_cycle_after_their_frame_are_followed() -> None:
     arm = replace(case.arm, torque_law="applied_previous_cycle")
     cycles = flown(case, 0)
     delayed = replace(cycles, tau=np.roll(cycles.tau, 1, axis=0))  # a frame tells what acted before
-    flight, rest = learned(arm, part(delayed, slice(1, None)))
+    flight, rest = learned(arm, selected(delayed, slice(1, None)))
     task = OnboardRefiner(arm)
     task.start(flight)
     task.cycles(rest)
@@ -876,12 +876,12 @@ def test_cycles_that_cannot_be_used_are_skipped() -> None:
     case = Case()
     flight, rest = learned(case.arm, flown(case, 0))
     task = OnboardRefiner(case.arm)
-    task.cycles(part(rest, slice(0, 5)))  # not started
+    task.cycles(selected(rest, slice(0, 5)))  # not started
     task.start(flight)
-    task.cycles(part(rest, slice(0, 100)))
+    task.cycles(selected(rest, slice(0, 100)))
     flags, theta = rest.flags.copy(), rest.theta.copy()
     flags[100], theta[101, 1] = lib.ZYGOS_CYCLE_INVALID, theta[101, 1] + 1500.0
-    task.cycles(part(replace(rest, flags=flags, theta=theta), slice(100, 200)))
+    task.cycles(selected(replace(rest, flags=flags, theta=theta), slice(100, 200)))
     assert task.native.filter.failed == 0 and task.native.restarts == 0
     assert task.native.lost == 2
 
