@@ -157,8 +157,8 @@ verify: build $(VENV)/.test ## evidence for the C library (docs/verification.md;
 limits: build $(VENV)/.test ## make the measured stack, sizes and instructions the limits of `make verify` (tests/verify/limits.json)
 	$(VERIFY) limits
 
-accuracy: build $(VENV)/.test ## errors, coverage, refusals and distance from the bound of all estimators (docs/accuracy.html; half an hour; SEEDS= DRAWS= SCHEDULER= CASES=)
-	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+accuracy: build $(VENV)/.test ## errors, coverage, refusals and distance from the bound of all estimators (docs/accuracy.html; half an hour; SEEDS= DRAWS= SCHEDULER= CASES= AGAINST=)
+	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER)) $(if $(AGAINST),--against $(AGAINST))
 
 mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fresh noise (docs/mission.md; 30 minutes; LENGTHS="300s 3h" DRAWS=)
 	$(BIN)/python -m zygos.accuracy.missions $(LENGTHS) $(if $(DRAWS),--draws $(DRAWS))

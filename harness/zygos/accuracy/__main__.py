@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from zygos.accuracy import campaign
+from zygos.accuracy.against import against, read_cells
 from zygos.accuracy.cases import all_cases, chosen
 from zygos.accuracy.cell import cells, fingerprint
 from zygos.accuracy.figure4 import Figure4
@@ -34,6 +35,12 @@ def accuracy(
     page: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The page; default: docs/accuracy.html, if all cases run.")
     ] = None,
+    other: Annotated[
+        Path | None,
+        typer.Option(
+            "--against", metavar="FILE", help="Cells of another state of the code, which are compared with these."
+        ),
+    ] = None,
 ) -> None:
     """Measure errors, coverage and refusals of all estimators. Finished cells of an earlier start are used again.
 
@@ -42,12 +49,14 @@ def accuracy(
     begin = time.monotonic()
     wanted = chosen(all_cases(), cases or [])
     target = page or Path("out/accuracy.html" if cases else "docs/accuracy.html")
-    check_outputs([lines, json, target], [])
+    check_outputs([lines, json, target], [other] if other else [])
+    others = read_cells(other) if other else []
     work: list[campaign.Job] = [*cells(wanted, seeds, draws)]
     work += [Limit(case, fingerprint()) for case in wanted if all(joint.flexible for joint in case.plant.joints)]
     work += [Figure4(case, 0, fingerprint()) for case in wanted if case.name == FIGURE_CASE]
     found = campaign.run(work, lines, lambda: campaign.executor(scheduler, workers))
     summary, compared = summarise(wanted, found), compare(wanted, found)
+    beside = against(wanted, found, others)
     figure = next((line for line in found if line.get("figure")), None)
     short = figure and {
         key: figure[key]
@@ -56,7 +65,10 @@ def accuracy(
             *("servo_rms_rad", "horizon_s", "arcs_rad", "missing"),
         )
     }
-    write_json(json, {"seeds": seeds, "draws": draws, "cases": summary, "compared": compared, "figure4": short})
+    write_json(
+        json,
+        {"seeds": seeds, "draws": draws, "cases": summary, "compared": compared, "against": beside, "figure4": short},
+    )
     write_accuracy_report(target, wanted, summary, compared, figure, draws)
     if quiet(json, target):
         return
@@ -94,7 +106,32 @@ def accuracy(
                 for entry in compared
             ],
         )
+    if other:
+        table(
+            ("case", "seeds", "draws", "published", "bias / spread", "spread, ratio", "half width, ratio",
+             "coverage, %", "± 3 s.e.", "wild", "worse"),
+            [
+                (
+                    entry["case"],
+                    str(entry["seeds"]),
+                    str(entry["draws"]),
+                    f"{entry['published_other']} → {entry['published']}",
+                    f"{_of(entry['bias_other'])} → {_of(entry['bias'])}",
+                    _of(entry["spread_ratio"]),
+                    _of(entry["half95_ratio"]),
+                    f"{_of(entry['coverage95_other'], 100.0)} → {_of(entry['coverage95'], 100.0)}",
+                    _of(entry["coverage95_margin"], 100.0),
+                    f"{entry['wild_other']} → {entry['wild']}",
+                    ", ".join(entry["worse"]) or "–",
+                )
+                for entry in beside
+            ],
+        )  # fmt: skip
     say(f"{counted(len(work), 'cell')} in {time.monotonic() - begin:.0f} s · {json} · {target}")
+
+
+def _of(value: float | None, scale: float = 1.0) -> str:
+    return "–" if value is None else number(scale * value, 3)
 
 
 def _span(shares: list[float]) -> str:

@@ -163,7 +163,7 @@ def _entry(
         "reasons": dict(Counter(r for r, s in zip(answers.reason, seeds, strict=True) if s and r)),
         "draws": len(relied),
         "draws_refused": int(np.sum(~relied)),
-        "wild": _wild(answers, true, error) if gives else None,
+        "wild": wild_values(answers, true) if gives else None,
         "mean_rms_percent": float(np.mean(rms)) if rms else None,
         "max_rms_percent": float(np.max(rms)) if rms else None,
         # both are means over the parameters that have values
@@ -187,7 +187,9 @@ def _coverage(names: Sequence[str], answers: EstimatorResults, true: Floats) -> 
     }
 
 
-def _wild(answers: EstimatorResults, true: Floats, error: Floats) -> int:
+def wild_values(answers: EstimatorResults, true: Floats) -> int:
+    """Number of published values that are wrong with confidence."""
+    error = score(answers.value, true).error_percent
     with np.errstate(invalid="ignore"):
         far = np.abs(answers.value - true) > WILD_SIGMAS * answers.sigma
         return int(np.sum(far & (np.abs(error) > WILD_PERCENT)))

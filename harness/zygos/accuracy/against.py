@@ -1,0 +1,125 @@
+"""Compares the answers of the C library with those of another state of the code, of the same sensor errors.
+
+Who changes an estimator wants to see that bias and spread stay, that intervals neither widen nor stop to hold, and that
+no value is wrong with confidence. Each state runs the campaign in its own checkout; the files of their cells meet here.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.accuracy.cases import Case
+from zygos.accuracy.estimators import ESTIMATORS
+from zygos.accuracy.summary import EstimatorResults, wild_values
+from zygos.errors import ZygosError
+from zygos.files.output import counted
+
+Floats = NDArray[np.float64]
+Line = dict[str, Any]
+
+NOMINAL = 0.95
+STANDARD_ERRORS = 3.0
+WIDER = 1.5
+"""Half widths may be larger by this factor."""
+
+
+def read_cells(path: Path) -> list[Line]:
+    """The cells of a file that a campaign wrote. Errors: ZygosError if there is none, or a line is no cell."""
+    try:
+        lines = [json.loads(text) for text in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError) as error:
+        raise ZygosError(
+            f"{path}: no cells of a campaign ({error}); remedy: run `make accuracy` in the other checkout, and give "
+            "its out/accuracy/cells.jsonl"
+        ) from None
+    found = [line for line in lines if isinstance(line, dict) and "case" in line and "answers" in line]
+    if not found:
+        raise ZygosError(f"{path}: contains no cell of a campaign; remedy: give out/accuracy/cells.jsonl of a checkout")
+    return found
+
+
+def against(cases: Sequence[Case], lines: Sequence[Line], others: Sequence[Line]) -> list[dict[str, Any]]:
+    """One entry for each case that both have. What is compared are values that both publish; errors are in standard
+    deviations of the parameter's own errors, ratios are medians over the parameters. The margin is three standard
+    errors of the difference of the two coverages, from its scatter over the seeds, whose draws share a motion.
+
+    Errors: ZygosError if a case has other seeds or other draws there.
+    """
+    (estimator,) = (one for one in ESTIMATORS if one.redrawn)
+    out = []
+    for case in cases:
+        own = [line["answers"][estimator.name] for line in lines if line.get("case") == case.name]
+        if not any(line["case"] == case.name for line in others):
+            continue
+        there = [_matching(case.name, column, estimator.name, others) for column in own]
+        true = case.model.base_values(case.arm)
+        seeds = np.array([seed for column in own for seed in column["seed"]])
+        both = [EstimatorResults.of(columns, len(true)) for columns in (own, there)]
+        out.append(_entry(case, seeds, both[0], both[1], true))
+    return out
+
+
+def _matching(case: str, column: Line, name: str, others: Sequence[Line]) -> Line:
+    for line in others:
+        found: Line = line["answers"].get(name, {})
+        if line["case"] == case and (found.get("seed"), found.get("draw")) == (column["seed"], column["draw"]):
+            return found
+    raise ZygosError(
+        f"case {case!r}: the other cells have other seeds or draws than {counted(len(column['seed']), 'draw')} of "
+        f"seeds {min(column['seed'])} … {max(column['seed'])}; remedy: run both with the same --seeds and --draws"
+    )
+
+
+def _entry(
+    case: Case, seeds: NDArray[np.int64], own: EstimatorResults, other: EstimatorResults, true: Floats
+) -> dict[str, Any]:
+    both = np.isfinite(own.value) & np.isfinite(other.value)
+    kept = both.sum(axis=0) > 1
+    spread, bias, width, holds = [], [], [], []
+    for answers in (other, own):
+        error = np.where(both, answers.value - true, np.nan)
+        with np.errstate(invalid="ignore"):
+            inside = np.where(both, np.abs(error) <= answers.half95, np.nan)
+        deviation = np.nanstd(error[:, kept], axis=0, ddof=1)
+        spread.append(deviation)
+        bias.append(float(np.median(np.abs(np.nanmean(error[:, kept], axis=0)) / deviation)) if kept.any() else None)
+        width.append(np.nanmedian(np.where(both, answers.half95, np.nan)[:, kept], axis=0))
+        holds.append(inside)
+    groups = [seeds == seed for seed in np.unique(seeds)]
+    per_seed = [float(np.nanmean((holds[1] - holds[0])[rows])) for rows in groups if both[rows].any()]
+    coverage = [float(np.nanmean(inside)) if both.any() else None for inside in holds]
+    margin = STANDARD_ERRORS * float(np.std(per_seed, ddof=1)) / len(per_seed) ** 0.5 if len(per_seed) > 1 else None
+    entry = {
+        "case": case.name,
+        "seeds": len(groups),
+        "draws": len(seeds),
+        "published_other": int(np.isfinite(other.value).sum()),
+        "published": int(np.isfinite(own.value).sum()),
+        "bias_other": bias[0],
+        "bias": bias[1],
+        "spread_ratio": float(np.median(spread[1] / spread[0])) if kept.any() else None,
+        "half95_ratio": float(np.median(width[1] / width[0])) if kept.any() else None,
+        "coverage95_other": coverage[0],
+        "coverage95": coverage[1],
+        "coverage95_margin": margin,
+        "wild_other": wild_values(other, true),
+        "wild": wild_values(own, true),
+    }
+    return entry | {"worse": _worse(entry)}
+
+
+def _worse(entry: dict[str, Any]) -> list[str]:
+    """What is worse than in the other state, by the rules of the constants above."""
+    out = []
+    if None not in (entry["coverage95"], entry["coverage95_margin"]):
+        further = abs(entry["coverage95"] - NOMINAL) - abs(entry["coverage95_other"] - NOMINAL)
+        out += ["coverage"] if further > entry["coverage95_margin"] else []
+    out += ["half widths"] if (entry["half95_ratio"] or 0.0) > WIDER else []
+    out += ["wild values"] if entry["wild"] > entry["wild_other"] else []
+    return out
