@@ -518,6 +518,33 @@ def test_an_arc_is_compared_by_the_sums_of_residuals_in_its_blocks(motion: Traje
     assert guard.contradiction[0] == pytest.approx(guard.blocks.residual / most, rel=1e-9)
 
 
+def test_an_arc_that_moves_more_than_those_before_may_leave_more(motion: Trajectory) -> None:
+    """Residuals of a wrong model grow with the motion, so that they are compared with those of as much motion."""
+    admit = 6
+    flight, cycles = Flight(motion.arm), seen(motion, 0)
+    half = len(cycles) // 2
+    flight.cycles(part(cycles, 0, half))
+    flight.estimate()
+    assert flight.adopt()
+    guard, sums = flight.native.guard, flight.native.accumulator
+    ahead = iter(range(half, len(cycles)))
+    while not guard.comparing:
+        k = next(ahead)
+        flight.cycles(part(cycles, k, k + 1))
+    guard.energy.spread /= 1e4  # as if the arcs before had hardly moved
+    guard.energy.residual /= 1e2
+    guard.cluster = 1e9  # the sums of blocks say nothing
+    while sums.task != admit:
+        k = next(ahead)
+        flight.cycles(part(cycles, k, k + 1))
+    rows, n = guard.rows, float(sums.closing_instants)
+    alike = guard.energy.residual / guard.energy.spread * rows.spread
+    assert rows.spread > n * guard.energy.spread and alike > max(rows.expected, n * guard.energy.residual)
+    limit = lib.zygos_guard_chi_square_limit(n / motion.arm.smoother.points) * alike
+    limit += 36.0 * rows.uncertainty + 1e-6 * rows.spread
+    assert guard.contradiction[0] == pytest.approx(rows.residual / limit, rel=1e-9)
+
+
 def test_what_noise_leaves_in_momentum_rows_is_that_of_the_arc_which_is_judged(motion: Trajectory) -> None:
     """Not that of the open arc, which is longer or shorter."""
     judge = 4
