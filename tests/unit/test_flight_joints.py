@@ -430,6 +430,18 @@ def reduced(arm: Arm, matrix: Floats) -> int:
     return int(lib.zygos_init(ffi.new("zygos_t *"), config))
 
 
+def test_values_of_columns_are_those_of_the_matrix_whatever_stood_in_their_place() -> None:
+    arm, values = arm_of_known_lengths()
+    effects = (effect("motor_coulomb", "joint1"), effect("cubic_stiffness", "joint2"))
+    config, columns = config_of(arm, effects), Flight(arm, effects).native.column_map
+    matrix = np.zeros((columns.effects, len(values)))
+    for entry in list(config.reduction)[: config.reductions]:
+        matrix[entry.column, entry.parameter] = entry.factor
+    given, found = np.append(values, [0.3, -2.0]), np.full(columns.count, np.nan)
+    lib.zygos_expand(config, ffi.addressof(columns), *(ffi.from_buffer("double[]", one) for one in (given, found)))
+    np.testing.assert_allclose(found, np.append(matrix @ values, [0.3, -2.0]), rtol=1e-12, atol=1e-15)
+
+
 def test_effects_have_their_places_behind_the_independent_parameters() -> None:
     arm, values = arm_of_known_lengths()
     flight = Flight(arm, (effect("motor_coulomb", "joint1"), effect("cubic_stiffness", "joint2")))

@@ -18,7 +18,7 @@ from zygos.effects import Effect
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_left_out
 from zygos.model.model import Model, Quantity, load_model
-from zygos.native.flight import Estimate, Flight, encode, ffi, lib
+from zygos.native.flight import REASONS, Estimate, Flight, encode, ffi, lib
 from zygos.reference import chain
 from zygos.reference.compare import check_chain, check_cycles, check_frames
 from zygos.runs.cycles import Cycles
@@ -560,6 +560,16 @@ def test_what_noise_leaves_in_momentum_rows_is_that_of_the_arc_which_is_judged(m
     lib.zygos_guard_settle_momentum(*(ffi.addressof(flight.native, name) for name in names))
     assert guard.momentum_noise.residual == pytest.approx(solution @ noise @ solution, rel=1e-9)
     assert guard.momentum_noise.residual > 0.0
+
+
+def test_the_newest_arc_is_compared_with_its_own_momentum_rows(motion: Trajectory) -> None:
+    """And where the arcs before do not close but the newest one does, the answer says so."""
+    flight = Flight(replace(motion.arm, momentum_max_s=ARC_S))
+    flight.cycles(stuck("q", 100, 60)(part(seen(motion, 0), 0, round(6.2 * ARC_S / motion.arm.period_s))))
+    drift = flight.drift()
+    used, count = flight._work.solver.momenta, flight._work.momentum_sums.count
+    assert 0 < used.first < used.end == count
+    assert drift.reason == REASONS[lib.ZYGOS_REASON_UNCLOSED]
 
 
 @pytest.mark.parametrize("task", [4, 5])  # ZYGOS_MOTOR_MERGE, ZYGOS_MOTOR_SHIFT

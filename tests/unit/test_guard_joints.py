@@ -14,7 +14,7 @@ from zygos.arm import Arm
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_left_out
 from zygos.model.model import Model
-from zygos.native.flight import Estimate, Flight, config_of, encode, ffi, lib
+from zygos.native.flight import REASONS, Estimate, Flight, config_of, encode, ffi, lib
 from zygos.reference.compare import check_frames
 from zygos.runs.cycles import Cycles
 
@@ -265,3 +265,20 @@ def test_an_estimate_of_another_flight_judges_the_segments_of_one_that_has_none(
         assert flight.native.joint_sums.segments > 4
         assert flight.native.guard.left_out[0] == 0
         assert (flight.native.guard.contradiction[0] > 0.0) == (residual > 0.0)
+
+
+def test_segments_are_compared_with_the_mean_over_all_before_and_nothing_is_set_aside() -> None:
+    arm, model = short_arm(2)
+    flight = flight_of(arm, model, energy_rows=False)
+    flight.cycles(seen(arm, *torque_of(arm, model, 0, 40.0), 0))
+    flight.estimate()
+    assert flight.adopt()
+    guard, sums = flight.native.guard, flight.native.joint_sums
+    last = int(sums.width) * (int(sums.width) + 1) // 2 - 1
+    groups = [sums.group[g] for g in range(lib.ZYGOS_JOINT_GROUPS_VALUE)]
+    assert all(group.count > 0.0 and group.fade > 0.0 for group in groups)
+    mean = sum(one.fade * one.rows.gram[last] for one in groups) / sum(one.fade * one.count for one in groups)
+    assert guard.energy.spread == pytest.approx(mean, rel=1e-12)
+    drift = flight.drift()
+    assert (drift.changed, drift.reason) == ((), REASONS[lib.ZYGOS_REASON_NO_DATA])
+    assert np.isnan(drift.deviation).all()

@@ -88,6 +88,8 @@ def test_it_begins_with_the_correlations_of_the_parameters() -> None:
 def test_c_is_numpy(base: str, kinetic: str) -> None:
     arm, model = random_arm(1, 2, base, kinetic, True)
     arm = replace(arm, joints=tuple(replace(joint, latch_us=300) for joint in arm.joints))
+    if base == "free":
+        arm = replace(arm, imu=replace(arm.imu, bias_walk=1e-3))
     read = readings(arm, model, swinging(arm, 40 * arm.period_s))
     motion, x, sigma, covariance = start(arm, model, read, 0)
     refiner = native(arm, motion, 2)
