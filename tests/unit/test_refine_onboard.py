@@ -598,6 +598,17 @@ def test_readings_between_are_used_as_means(every: int) -> None:
     np.testing.assert_allclose(found / size, mean / size, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("every", [2, 7, 20])
+def test_the_readings_of_all_cycles_between_are_summed(every: int) -> None:
+    case = Case("spatial", noise=0.005)
+    cycles = flown(case, 0, 0.6)
+    task = with_readings_every(case.arm, every, cycles)
+    seen = np.concatenate([cycles.q, cycles.theta, cycles.omega @ case.arm.mount.T], axis=1)
+    (newest,) = np.flatnonzero((seen[:, :6] == list(task.native.signal)[:6]).all(axis=1))
+    expected = np.sum(seen[newest - every + 1 : newest + 1], axis=0)
+    np.testing.assert_allclose(list(task.native.readings)[:9], expected, rtol=1e-12, atol=1e-15)
+
+
 @pytest.mark.parametrize("every", [1, 2, 3, 7, 20])
 def test_noise_of_torques_is_another_one_in_each_cycle(every: int) -> None:
     """What the torques of the cycles between two uses of readings do to state and covariance is the sum over these

@@ -175,6 +175,20 @@ def test_friction_offsets_and_zeros_are_estimated() -> None:
     assert np.all(np.sqrt(np.sum(bent**2, axis=1)) < 2e-3)
 
 
+def test_zeros_of_encoders_push_no_joint() -> None:
+    """Without a reading that shows both, state and zeros stay independent."""
+    arm, model, scenario = lively()
+    read = readings(arm, model, replace(scenario, duration_s=1.0))
+    motion, x, sigma, covariance = start(arm, model, read, 0)
+    refiner = native(arm, motion, 5, zeros=True)
+    refiner.start(np.concatenate([x, np.zeros(4)]), np.concatenate([sigma, np.full(4, 3e-3)]), covariance)
+    for k in range(3):
+        refiner.advance(read[2][k])
+    covariance = refiner.root @ refiner.root.T
+    assert np.all(np.diag(covariance)[-4:] > 0.0)
+    assert np.abs(covariance[: motion.states, -4:]).max() < 1e-15 * np.diag(covariance).max()
+
+
 def test_the_readings_favour_the_noise_that_the_torques_have() -> None:
     arm, model, scenario = lively()
     read = readings(arm, model, replace(scenario, duration_s=20.0))
