@@ -645,6 +645,20 @@ def test_residuals_of_momentum_rows_begin_at_zero_with_each_arc(motion: Trajecto
     assert found[0] == found[1] and 0.0 < found[0][0] < 1.0
 
 
+def test_how_many_arcs_of_momentum_rows_mean_a_change_follows_from_their_own_length(motion: Trajectory) -> None:
+    """Three that are as long as those of the energy rows, however short the arcs of motor rows are."""
+    judge, first = 4, 2050
+    flight = Flight(replace(motion.arm, momentum_max_s=ARC_S, impulse_arc_s=2.0))
+    guard, momentum = flight.native.guard, flight.native.momentum_sums
+    cycles = stuck("omega", first, 300)(seen(motion, 0))
+    fly_until(flight, cycles, lambda: bool(momentum.task == judge and flight.native.cycle > first + 300))
+    assert guard.changed == 0
+    guard.consecutive[2] = 2
+    names = ("guard", "config", "column_map", "momentum_sums")
+    lib.zygos_guard_settle_momentum(*(ffi.addressof(flight.native, name) for name in names))
+    assert (guard.left_out[2], guard.consecutive[2], guard.changed) == (1, 3, 1)
+
+
 def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Trajectory) -> None:
     arm, cycles = motion.arm, seen(motion, 0)
     half = len(cycles) // 2
