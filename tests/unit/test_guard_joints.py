@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flight_support import part
+from flight_support import copy_of, part
 from ground_support import heavier, seen, short_arm, torque_of
 from numpy.typing import NDArray
 
@@ -198,8 +198,7 @@ def test_a_state_goes_on_with_its_running_solution_and_what_was_set_aside() -> N
     watched(flight, part(cycles, 0, at + round(12.0 / arm.period_s)))
     aside = flight.native.joint_sums.group[lib.ZYGOS_JOINT_GROUPS_VALUE].count
     assert aside > 0.0
-    other = Flight(arm, model.effects)
-    ffi.memmove(other.native, flight.native, ffi.sizeof("zygos_t"))
+    other = copy_of(flight)
     assert lib.zygos_resume(other.native, config_of(arm, model.effects)) == 1
     assert other.estimate().reason.startswith("the arm changed")
     assert other.native.joint_sums.group[lib.ZYGOS_JOINT_GROUPS_VALUE].count == aside

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import joined, part
+from flight_support import copy_of, joined, part
 from numpy.typing import NDArray
 from soak_support import again, resealed, settle, stored, with_all_rows
 
@@ -335,9 +335,9 @@ def test_a_restart_that_keeps_joints_does_not_end_arcs_of_sums_that_it_clears(ar
 def test_normal_equations_are_those_of_an_arm_whose_arcs_have_ended(arm: Arm, motion: Cycles) -> None:
     """Where an arc waits for its end, the sums have not faded."""
     short = replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=0.0, momentum_max_s=0.0)
-    waiting, ended = Flight(short), Flight(short)
+    waiting = Flight(short)
     until_an_arc_waits(waiting, motion, forgetting=0.999)
-    ffi.memmove(ended.native, waiting.native, ffi.sizeof("zygos_t"))
+    ended = copy_of(waiting)
     assert scrubbed(ended) == 0
     assert (waiting.native.ending, ended.native.ending) == (1, 0)
     for found, expected in zip(waiting.normal_equations(), ended.normal_equations(), strict=True):
@@ -459,8 +459,7 @@ def test_an_arc_that_is_void_while_it_is_admitted_leaves_no_noise(
         one = part(cycles, k, k + 1)
         state = getattr(flight.native, kind)
         if state.task == task and state.row > 0:
-            copy = Flight(short)
-            ffi.memmove(copy.native, flight.native, ffi.sizeof("zygos_t"))
+            copy = copy_of(flight)
             one.flags[0] = VOID_BEFORE | 200 << VOID_SHIFT
             copy.cycles(one)
             assert intact(copy), k
