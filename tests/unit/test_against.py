@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from conftest import ROOT
+from zygos.accuracy import cell
 from zygos.accuracy.__main__ import main
-from zygos.accuracy.against import against, read_cells
-from zygos.accuracy.cases import Case, all_cases, chosen
+from zygos.accuracy.against import against, check_draws, read_cells
+from zygos.accuracy.cases import BLOCK, Case, all_cases, chosen
 from zygos.errors import ZygosError
 
-SEEDS, DRAWS = 40, 25
+SEEDS, DRAWS = 2 * BLOCK, 20
 SIGMA = 1e-3
 
 
@@ -31,11 +32,11 @@ def cells(case: Case, bias: float = 0.0, spread: float = 1.0, width: float = 1.0
     size = SIGMA * np.abs(true)
     errors = np.random.default_rng(0).standard_normal((SEEDS, draws, len(true)))
     lines = []
-    for first in range(0, SEEDS, 10):
-        own = errors[first : first + 10].reshape(-1, len(true))
+    for first in range(0, SEEDS, BLOCK):
+        own = errors[first : first + BLOCK].reshape(-1, len(true))
         column = {
-            "seed": np.repeat(np.arange(first, first + 10), draws).tolist(),
-            "draw": np.tile(np.arange(draws), 10).tolist(),
+            "seed": np.repeat(np.arange(first, first + BLOCK), draws).tolist(),
+            "draw": np.tile(np.arange(draws), BLOCK).tolist(),
             "validity": ["valid"] * len(own),
             "reason": [""] * len(own),
             "value": (true + size * (bias + spread * own)).tolist(),
@@ -135,3 +136,25 @@ def test_the_file_of_the_own_cells_is_refused(
     assert end.value.code == 2
     assert "would replace" in capsys.readouterr().err
     assert path.read_text() == "{}\n"
+
+
+def test_other_draws_are_refused_before_anything_is_computed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, case: Case
+) -> None:
+    monkeypatch.chdir(ROOT)
+    path, outputs = tmp_path / "other.jsonl", [tmp_path / name for name in ("cells.jsonl", "a.json", "a.html")]
+    path.write_text("".join(json.dumps(line) + "\n" for line in cells(case, draws=2)))
+    options = [f"--{name}={file}" for name, file in zip(("lines", "json", "page"), outputs, strict=True)]
+    with pytest.raises(SystemExit) as end:
+        main(["paper-60", "--seeds=2", "--draws=4", f"--against={path}", *options])
+    assert end.value.code == 2
+    assert "remedy: run both with the same --seeds and --draws" in " ".join(capsys.readouterr().err.split())
+    assert not any(file.exists() for file in outputs)
+
+
+def test_cells_of_the_same_draws_are_taken(case: Case) -> None:
+    jobs = cell.cells([case], SEEDS, SEEDS * DRAWS)
+    check_draws(jobs, cells(case))
+    check_draws(jobs, [{**line, "case": "another"} for line in cells(case, draws=DRAWS + 1)])
+    with pytest.raises(ZygosError, match="other seeds or draws"):
+        check_draws(jobs, cells(case)[1:])

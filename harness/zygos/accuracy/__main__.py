@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from zygos.accuracy import campaign
-from zygos.accuracy.against import against, read_cells
+from zygos.accuracy.against import against, check_draws, read_cells
 from zygos.accuracy.cases import all_cases, chosen
 from zygos.accuracy.cell import cells, fingerprint
 from zygos.accuracy.figure4 import Figure4
@@ -51,7 +51,9 @@ def accuracy(
     target = page or Path("out/accuracy.html" if cases else "docs/accuracy.html")
     check_outputs([lines, json, target], [other] if other else [])
     others = read_cells(other) if other else []
-    work: list[campaign.Job] = [*cells(wanted, seeds, draws)]
+    own = cells(wanted, seeds, draws)
+    check_draws(own, others)
+    work: list[campaign.Job] = [*own]
     work += [Limit(case, fingerprint()) for case in wanted if all(joint.flexible for joint in case.plant.joints)]
     work += [Figure4(case, 0, fingerprint()) for case in wanted if case.name == FIGURE_CASE]
     found = campaign.run(work, lines, lambda: campaign.executor(scheduler, workers))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.accuracy.cases import Case
+from zygos.accuracy.cell import Cell
 from zygos.accuracy.estimators import ESTIMATORS
 from zygos.accuracy.summary import EstimatorResults, wild_values
 from zygos.errors import ZygosError
@@ -27,6 +28,8 @@ NOMINAL = 0.95
 STANDARD_ERRORS = 3.0
 WIDER = 1.5
 """Half widths may be larger by this factor."""
+(_REDRAWN,) = (one.name for one in ESTIMATORS if one.redrawn)
+"""The estimator that is given every draw."""
 
 
 def read_cells(path: Path) -> list[Line]:
@@ -44,6 +47,17 @@ def read_cells(path: Path) -> list[Line]:
     return found
 
 
+def check_draws(jobs: Sequence[Cell], others: Sequence[Line]) -> None:
+    """Refuse cells with other seeds or other draws than those that are to be computed. Call it before any work.
+
+    Errors: ZygosError naming the case.
+    """
+    for job in jobs:
+        if _has(others, job.case.name):
+            seeds = [seed for seed in job.seeds for _ in range(job.draws)]
+            _matching(job.case.name, seeds, [*range(job.draws)] * len(job.seeds), others)
+
+
 def against(cases: Sequence[Case], lines: Sequence[Line], others: Sequence[Line]) -> list[dict[str, Any]]:
     """One entry for each case that both have. What is compared are values that both publish; errors are in standard
     deviations of the parameter's own errors, ratios are medians over the parameters. The margin is three standard
@@ -51,28 +65,29 @@ def against(cases: Sequence[Case], lines: Sequence[Line], others: Sequence[Line]
 
     Errors: ZygosError if a case has other seeds or other draws there.
     """
-    (estimator,) = (one for one in ESTIMATORS if one.redrawn)
     out = []
-    for case in cases:
-        own = [line["answers"][estimator.name] for line in lines if line.get("case") == case.name]
-        if not any(line["case"] == case.name for line in others):
-            continue
-        there = [_matching(case.name, column, estimator.name, others) for column in own]
+    for case in (one for one in cases if _has(others, one.name)):
+        here = [line["answers"][_REDRAWN] for line in lines if line.get("case") == case.name]
+        there = [_matching(case.name, column["seed"], column["draw"], others) for column in here]
         true = case.model.base_values(case.arm)
-        seeds = np.array([seed for column in own for seed in column["seed"]])
-        both = [EstimatorResults.of(columns, len(true)) for columns in (own, there)]
-        out.append(_entry(case, seeds, both[0], both[1], true))
+        own, other = (EstimatorResults.of(columns, len(true)) for columns in (here, there))
+        out.append(_entry(case, np.array([seed for column in here for seed in column["seed"]]), own, other, true))
     return out
 
 
-def _matching(case: str, column: Line, name: str, others: Sequence[Line]) -> Line:
+def _has(others: Sequence[Line], case: str) -> bool:
+    return any(line["case"] == case for line in others)
+
+
+def _matching(case: str, seeds: Sequence[int], draws: Sequence[int], others: Sequence[Line]) -> Line:
+    """The column of the other state with these seeds and draws, one of each for an answer."""
     for line in others:
-        found: Line = line["answers"].get(name, {})
-        if line["case"] == case and (found.get("seed"), found.get("draw")) == (column["seed"], column["draw"]):
+        found: Line = line["answers"].get(_REDRAWN, {})
+        if line["case"] == case and (found.get("seed"), found.get("draw")) == (seeds, draws):
             return found
     raise ZygosError(
-        f"case {case!r}: the other cells have other seeds or draws than {counted(len(column['seed']), 'draw')} of "
-        f"seeds {min(column['seed'])} … {max(column['seed'])}; remedy: run both with the same --seeds and --draws"
+        f"case {case!r}: the other cells have other seeds or draws than {counted(len(seeds), 'draw')} of "
+        f"seeds {min(seeds)} … {max(seeds)}; remedy: run both with the same --seeds and --draws"
     )
 
 
