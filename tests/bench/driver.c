@@ -91,7 +91,9 @@ static place_t step(uint32_t frames)
     const uint32_t signal = joints->turn;
     const uint32_t cursor = joints->cursor;
     const uint32_t adding = joints->adding;
-    const uint32_t waits = ((row == 0) && (joints->waiting > 0)) ? 1u + joints->pass * joints->width + joints->row : 0u;
+    /* rows that wait are added where none is formed; elsewhere only whether there are any decides */
+    const uint32_t added = (row == 0) ? joints->pass * joints->width + joints->row : 0u;
+    const uint32_t waits = (joints->waiting > 0) ? 1u + added : 0u;
     const uint32_t tasks[3] = { sums->task, arm.motor_sums.task, arm.momentum_sums.task };
     const uint32_t of_energy = energy_task(sums);
     const uint32_t energy_row = sums->row;

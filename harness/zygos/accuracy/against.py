@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import Cell
 from zygos.accuracy.estimators import ESTIMATORS
-from zygos.accuracy.summary import EstimatorResults, wild_values
+from zygos.accuracy.summary import EstimatorResults, intervals_hold, wild_values
 from zygos.errors import ZygosError
 from zygos.files.output import counted
 
@@ -91,42 +92,65 @@ def _matching(case: str, seeds: Sequence[int], draws: Sequence[int], others: Seq
     )
 
 
+@dataclass(frozen=True)
+class _State:
+    """What one state of the code makes of the values that both publish; k parameters with at least two of them."""
+
+    spread: Floats
+    """(k,) standard deviations of the errors."""
+    bias: Floats
+    """(k,) mean errors, in standard deviations."""
+    half95: Floats
+    """(k,) medians of the half widths."""
+    holds: Floats
+    """(A, p) 1 where an interval contains the true value, 0 where it does not, NaN outside the values of both."""
+    published: int
+    wild: int
+
+    @classmethod
+    def of(cls, answers: EstimatorResults, both: NDArray[np.bool_], true: Floats) -> _State:
+        kept = both.sum(axis=0) > 1
+        error = np.where(both, answers.value - true, np.nan)[:, kept]
+        spread = np.nanstd(error, axis=0, ddof=1)
+        return cls(
+            spread,
+            np.abs(np.nanmean(error, axis=0)) / spread,
+            np.nanmedian(np.where(both, answers.half95, np.nan)[:, kept], axis=0),
+            np.where(both, intervals_hold(answers, true), np.nan),
+            int(np.isfinite(answers.value).sum()),
+            wild_values(answers, true),
+        )
+
+
 def _entry(
     case: Case, seeds: NDArray[np.int64], own: EstimatorResults, other: EstimatorResults, true: Floats
 ) -> dict[str, Any]:
     both = np.isfinite(own.value) & np.isfinite(other.value)
-    kept = both.sum(axis=0) > 1
-    spread, bias, width, holds = [], [], [], []
-    for answers in (other, own):
-        error = np.where(both, answers.value - true, np.nan)
-        with np.errstate(invalid="ignore"):
-            inside = np.where(both, np.abs(error) <= answers.half95, np.nan)
-        deviation = np.nanstd(error[:, kept], axis=0, ddof=1)
-        spread.append(deviation)
-        bias.append(float(np.median(np.abs(np.nanmean(error[:, kept], axis=0)) / deviation)) if kept.any() else None)
-        width.append(np.nanmedian(np.where(both, answers.half95, np.nan)[:, kept], axis=0))
-        holds.append(inside)
+    here, there = (_State.of(answers, both, true) for answers in (own, other))
     groups = [seeds == seed for seed in np.unique(seeds)]
-    per_seed = [float(np.nanmean((holds[1] - holds[0])[rows])) for rows in groups if both[rows].any()]
-    coverage = [float(np.nanmean(inside)) if both.any() else None for inside in holds]
+    per_seed = [float(np.nanmean((here.holds - there.holds)[rows])) for rows in groups if both[rows].any()]
     margin = STANDARD_ERRORS * float(np.std(per_seed, ddof=1)) / len(per_seed) ** 0.5 if len(per_seed) > 1 else None
     entry = {
         "case": case.name,
         "seeds": len(groups),
         "draws": len(seeds),
-        "published_other": int(np.isfinite(other.value).sum()),
-        "published": int(np.isfinite(own.value).sum()),
-        "bias_other": bias[0],
-        "bias": bias[1],
-        "spread_ratio": float(np.median(spread[1] / spread[0])) if kept.any() else None,
-        "half95_ratio": float(np.median(width[1] / width[0])) if kept.any() else None,
-        "coverage95_other": coverage[0],
-        "coverage95": coverage[1],
+        "published_other": there.published,
+        "published": here.published,
+        "bias_other": _median(there.bias),
+        "bias": _median(here.bias),
+        "spread_ratio": _median(here.spread / there.spread),
+        "half95_ratio": _median(here.half95 / there.half95),
+        "coverage95_other": float(np.nanmean(there.holds)) if both.any() else None,
+        "coverage95": float(np.nanmean(here.holds)) if both.any() else None,
         "coverage95_margin": margin,
-        "wild_other": wild_values(other, true),
-        "wild": wild_values(own, true),
+        "wild_other": there.wild,
+        "wild": here.wild,
     }
     return entry | {"worse": _worse(entry)}
+
+
+def _median(values: Floats) -> float | None:
+    return float(np.median(values)) if len(values) else None
 
 
 def _worse(entry: dict[str, Any]) -> list[str]:

@@ -96,7 +96,7 @@ def compare(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, Any]
         true = case.model.base_values(case.arm)
         own, other = (_answers(name, estimator, lines, len(true)) for name in (case.name, case.beside))
         both = np.isfinite(own.value) & np.isfinite(other.value)
-        holds = [np.abs(answers.value - true) <= answers.half95 for answers in (other, own)]
+        holds = [intervals_hold(answers, true) for answers in (other, own)]
         out.append(
             {
                 "case": case.name,
@@ -179,12 +179,17 @@ def _entry(
 def _coverage(names: Sequence[str], answers: EstimatorResults, true: Floats) -> dict[str, float | None]:
     """Share of the published intervals that contain the true value, by parameter."""
     published = np.isfinite(answers.value) & np.isfinite(answers.half95)
-    with np.errstate(invalid="ignore"):
-        holds = published & (np.abs(answers.value - true) <= answers.half95)
+    holds = intervals_hold(answers, true)
     return {
         name: float(held / count) if count else None
         for name, held, count in zip(names, holds.sum(axis=0), published.sum(axis=0), strict=True)
     }
+
+
+def intervals_hold(answers: EstimatorResults, true: Floats) -> NDArray[np.bool_]:
+    """(A, p) whether a published interval contains the true value (p,); false where none is published."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(answers.value - true) <= answers.half95, dtype=np.bool_)
 
 
 def wild_values(answers: EstimatorResults, true: Floats) -> int:
