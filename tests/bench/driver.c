@@ -96,7 +96,6 @@ static place_t step(uint32_t frames)
     const uint32_t waits = (joints->waiting > 0) ? 1u + added : 0u;
     const uint32_t tasks[3] = { sums->task, arm.motor_sums.task, arm.momentum_sums.task };
     const uint32_t of_energy = energy_task(sums);
-    const uint32_t energy_row = sums->row;
     const uint32_t of_motors = (arm.motor_sums.task << 16u) | arm.motor_sums.joint;
     const uint32_t of_momentum = (arm.momentum_sums.task << 16u) | arm.momentum_sums.row;
     const uint32_t ending = arm.ending;
@@ -105,10 +104,12 @@ static place_t step(uint32_t frames)
     driver_mark();
     const bool turned =
         (sums->task != tasks[0]) || (arm.motor_sums.task != tasks[1]) || (arm.momentum_sums.task != tasks[2]);
-    /* a cycle that does something else leaves the task where it is */
-    const bool rests = (tasks[0] != ZYGOS_TASK_NONE) && (sums->task == tasks[0]) && (sums->row == energy_row);
     /* a cycle that is for the tasks of the energy rows asks nothing of the others */
     const uint32_t yields = (has_work && ((arm.cycles & 1u) == 0u)) ? 1u << 31u : 0u;
+    /* what else a cycle has done, of which one part is enough: a joint row, or a task of the other rows */
+    const bool motors = (yields == 0) && (tasks[1] != ZYGOS_MOTOR_NONE);
+    const bool momentum = (yields == 0) && (tasks[2] != ZYGOS_MOMENTUM_NONE);
+    const uint32_t busy = ((row > 0) && (complete == 1u)) ? 3u : (motors ? 2u : (momentum ? 1u : 0u));
     const bool energy = (config->arc_cycles > 0);
     const bool instant = energy ? (arm.instant == 1) : (joints->accepted + joints->refused != instants);
     const uint32_t left = config->joint_row_cycles / 2u - arm.joint.position;
@@ -137,7 +138,7 @@ static place_t step(uint32_t frames)
         .row_moved =
             adding + (((adding == 1u) && (cursor + joints->slice >= zygos_gram_entries(joints->width))) ? 2u : 0u),
         .row_waits = waits,
-        .energy_task = of_energy | (first_link << 30u) | (rests ? 1u << 31u : 0u),
+        .energy_task = of_energy | (first_link << 29u) | (busy << 30u),
         .motor_task = of_motors | yields,
         .momentum_task = of_momentum | yields,
     };
