@@ -37,7 +37,7 @@ static double noise(void)
     return (double)below(2001) / 1000.0 - 1.0;
 }
 
-/* Rotors that obey their torques, and a little of everything else: the solver has something to find. */
+/* Rotors that obey their torques, and so little of everything else that the balance closes: the solver finds values. */
 static zygos_record_t motion_of(slot_t at, uint64_t cycle)
 {
     zygos_record_t record = record_of(at, cycle);
@@ -49,7 +49,7 @@ static zygos_record_t motion_of(slot_t at, uint64_t cycle)
     const double angle = 0.8 * sin(w[0] * t) + 0.3 * sin(w[1] * t);
     const double acceleration = -0.8 * w[0] * w[0] * sin(w[0] * t) - 0.3 * w[1] * w[1] * sin(w[1] * t);
     if (at.message == ZYGOS_MSG_ANGLES) {
-        record.code[0] = (int32_t)(CODES_PER_RAD * (angle + 0.01 * sin(1.7 * w[0] * t) + 1e-5 * noise()));
+        record.code[0] = (int32_t)(CODES_PER_RAD * (angle + 0.001 * sin(1.7 * w[0] * t) + 1e-5 * noise()));
         record.code[1] = (int32_t)(CODES_PER_RAD * (angle + 1e-5 * noise()));
     } else if (at.message == ZYGOS_MSG_TORQUE) {
         record.code[0] = (int32_t)(ZYGOS_TORQUE_CODES * 50.0 * ROTOR_INERTIA * acceleration);

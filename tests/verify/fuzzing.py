@@ -17,6 +17,8 @@ from verify.result import BUILD, Result, digest, judged, missing
 
 PLACE = BUILD / "fuzz"
 CAPACITIES = {"MAX_JOINTS": 2, "MAX_BLOCKS": 12, "SPATIAL": 0}
+# What the kernel reports as most memory of a process includes that of its parent before exec: the limit is on requests.
+LIMITS = ["-max_len=4096", "-timeout=20", "-rss_limit_mb=0", "-malloc_limit_mb=256"]
 GUIDED = "-fsanitize=fuzzer,address,undefined,float-cast-overflow -fno-sanitize-recover=all".split()
 FRAMES, STATES = 200_000, 800
 """Of one seed."""
@@ -43,7 +45,7 @@ def bytes_for(program: Path, seconds: float, folder: Path) -> tuple[int, list[st
     """Let libFuzzer choose inputs; its corpus stays for the next time. Returns how many it tried, and what it found."""
     corpus = folder / "corpus"
     corpus.mkdir(parents=True, exist_ok=True)
-    options = ["-max_len=4096", f"-max_total_time={max(1, round(seconds))}", "-print_final_stats=1", "-timeout=20"]
+    options = [*LIMITS, f"-max_total_time={max(1, round(seconds))}", "-print_final_stats=1"]
     command = [str(program), *options, f"-artifact_prefix={folder}/", str(corpus)]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     tried = re.search(r"stat::number_of_executed_units:\s+(\d+)", done.stderr)
