@@ -84,7 +84,7 @@ enum zygos_reason {
 /// scatter (1 + share instants / arc_cycles), to which the noise of the torques (balance.h) is added. The share is at
 /// least this value, because no standard deviation is declared exactly, and because the neglected products of noise
 /// with itself (noise.h) do not show in the residuals.
-#define ZYGOS_SYSTEMATIC 0.05
+#define ZYGOS_SYSTEMATIC 0.125
 /// A parameter whose sigma exceeds this share of its size is not identifiable yet. The size is the value; for a kinetic
 /// parameter at least the square root of the product of the two diagonal parameters that it couples, and for a first
 /// moment at least the largest first moment. Effects are exempt, because an effect may be zero. If the rank is full

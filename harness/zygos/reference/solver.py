@@ -18,7 +18,7 @@ MIN_SIGNAL_TO_NOISE = 2.0
 OVERDECLARED = 0.6
 """If the residuals' square is below this share of the declared noise's square, it determines how much is subtracted."""
 LEAST_FREEDOM = 2.0
-SYSTEMATIC = 0.05
+SYSTEMATIC = 0.125
 """Smallest share of the residuals' square that is treated as systematic, since no deviation is declared more
 exactly."""
 
