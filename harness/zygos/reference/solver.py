@@ -19,8 +19,8 @@ OVERDECLARED = 0.6
 """If the residuals' square is below this share of the declared noise's square, it determines how much is subtracted."""
 LEAST_FREEDOM = 2.0
 SYSTEMATIC = 0.125
-"""Smallest share of the residuals' square that is treated as systematic, since no deviation is declared more
-exactly."""
+"""Smallest share of the residuals' square that is treated as systematic, since no deviation is declared exactly, and
+products of noise with itself do not show in the residuals."""
 
 
 @dataclass(frozen=True)
