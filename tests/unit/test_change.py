@@ -344,6 +344,7 @@ def test_what_was_changed_or_is_not_there_is_not_compared() -> None:
         assert lib.zygos_detect_change(work, known, deviation) == 0
         assert (known.validity, known.reason) == (lib.ZYGOS_REFUSED, reason)
         assert np.isnan(list(deviation)[: lib.ZYGOS_MAX_PARAMETERS_VALUE]).all()
+    assert np.isnan(list(known.value)).all(), "how many there are is not known where memory was changed"
 
 
 def test_without_motor_rows_there_is_nothing_to_keep() -> None:

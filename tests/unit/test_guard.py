@@ -674,6 +674,9 @@ def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Tr
         assert (guard.known, guard.lost, list(guard.left_out)) == (0, 1, [0, 0, 0])
         assert flight.estimate().validity == "valid"
         assert flight.adopt()
+        for keep, lost in ((lib.ZYGOS_KEEP_FAULTS, 1), (0, 0)):
+            assert lib.zygos_restart(flight.native, keep) == 1
+            assert guard.lost == lost
 
 
 def test_a_state_goes_on_with_its_running_solution(motion: Trajectory) -> None:

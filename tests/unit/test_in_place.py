@@ -256,6 +256,16 @@ def test_the_guard_leaves_an_arc_out_as_when_it_ends() -> None:
     assert lib.zygos_adopt(flight.native, out) == 1
 
 
+def test_the_integrals_of_motor_rows_begin_anew_behind_the_end_of_an_arc() -> None:
+    flight, motion = again("planar", 700), run("planar")[1]
+    joints = slice(0, flight.arm.n)
+    assert np.all(np.array(list(flight.native.impulse.impulse))[joints] != 0.0)
+    assert lib.zygos_end_arcs(flight.native) == 1
+    flight.cycles(part(motion, 700, 701))
+    assert list(flight.native.impulse.impulse)[joints] == [0.0] * flight.arm.n
+    assert list(flight.native.impulse.deflection_integral)[joints] == [0.0] * flight.arm.n
+
+
 def test_misuse_is_refused() -> None:
     flight = again("planar")
     solver, out = ffi.new("zygos_solver_t *"), ffi.new("zygos_estimate_t *")

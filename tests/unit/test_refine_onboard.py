@@ -392,6 +392,15 @@ def test_settings_out_of_their_range_are_refused(member: str, low: float, high: 
         assert lib.zygos_refine_init(task, config, settings) == lib.ZYGOS_E_VALUE, value
 
 
+def test_whatever_was_in_the_memory_before_does_not_matter() -> None:
+    config, settings = config_of(Case().arm), ffi.new("zygos_refine_settings_t *")
+    lib.zygos_refine_defaults(settings, config)
+    tasks = [ffi.new("zygos_refine_t *") for _ in range(2)]
+    ffi.memmove(tasks[1], b"\xa5" * ffi.sizeof("zygos_refine_t"), ffi.sizeof("zygos_refine_t"))
+    assert [lib.zygos_refine_init(task, config, settings) for task in tasks] == [1, 1]
+    assert bytes(ffi.buffer(tasks[0])) == bytes(ffi.buffer(tasks[1]))
+
+
 def test_a_gyro_that_latches_late_is_refused() -> None:
     arm = Case().arm
     with pytest.raises(ZygosError, match="a gyro that latches at SYNC"):

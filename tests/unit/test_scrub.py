@@ -194,6 +194,20 @@ def test_no_cycle_is_processed_with_an_impossible_place(
     assert flight.estimate().validity == "valid"
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_no_cycle_is_processed_with_a_place_of_any_joint_that_changed(
+    flight: Flight, pristine: Any, joint: int
+) -> None:
+    native = flight.native
+    for struct, member in (
+        (native.column_map, "joint"), (native.column_map, "rotor"), (native.motor_sums.column_map, "count")
+    ):  # fmt: skip
+        flip(struct, member, 0, joint)
+        assert lib.zygos_cycle(native, ffi.new("zygos_cycle_t *")) == lib.ZYGOS_E_STATE, member
+        assert lib.zygos_scrub(native, pristine) > 0
+        assert lib.zygos_scrub(native, pristine) == 0
+
+
 MOVING = (
     ("", "arc", 3), ("", "ending", 0), ("smoother", "position", 1), ("smoother", "filled", 2), ("balance", "work", 40),
     ("balance", "dissipation", 50), ("balance", "theta", 20), ("balance", "dissipation_rate", 52),
@@ -546,12 +560,17 @@ def test_where_some_blocks_merge_there_is_room(kind: str, flight: Flight, motion
     assert flight.estimate().reason == REASONS[5]
 
 
-def test_a_place_in_the_queue_that_cannot_be(flight: Flight, pristine: Any) -> None:
+def test_a_place_in_the_queue_that_cannot_be(flight: Flight, motion: Cycles, pristine: Any) -> None:
+    """The queue is empty then, and the frames of the cycle that was being received are not completed by later ones."""
+    cycles = part(again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(0)), 0, 1)
+    receiver = flight.native.receiver
     for member in ("head", "tail"):
-        flip(flight.native.receiver.queue, member, 20)
+        flight.frames(encode(flight.arm, cycles)[:2])
+        assert receiver.assembly.received
+        flip(receiver.queue, member, 20)
         assert lib.zygos_step(flight.native) == lib.ZYGOS_E_STATE
         assert lib.zygos_scrub(flight.native, pristine) & PLACES
-        assert flight.native.receiver.queue.head == flight.native.receiver.queue.tail == 0
+        assert receiver.queue.head == receiver.queue.tail == receiver.assembly.received == 0
 
 
 def test_the_magic_number_is_repaired_where_one_bit_is_wrong(flight: Flight, pristine: Any) -> None:
