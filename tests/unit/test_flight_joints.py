@@ -323,7 +323,7 @@ def test_void_cycles_drop_the_segment_that_is_filled_and_no_other() -> None:
 
 
 def test_blocks_are_the_groups_that_have_rows() -> None:
-    """Three joints: the first second has fewer groups than there is room for."""
+    """At the beginning fewer groups have rows than there is room for."""
     known = random_ground(3, "spatial", 3000)
     flight, told = Flight(known.arm), []
     for begin in range(0, 3000, 300):
