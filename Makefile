@@ -101,14 +101,17 @@ $(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/
 # Folders of tests that need no bus of the kernel's and no emulator of a board; docs/testing.md has the tiers.
 TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak upset verify)
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
-test: build node $(VENV)/.test ## the quick tests, a process for each core (17 minutes on two cores)
-	$(PYTEST) -m "not slow" $(TESTS)
+# What all quick tests and all tests may take, in units of a loop that tests/support/tiers.py measures on the same machine.
+QUICK_BUDGET := 5000
+WHOLE_BUDGET := 20000
+test: build node $(VENV)/.test ## the quick tests, a process for each core
+	$(PYTEST) --budget $(QUICK_BUDGET) -m "not slow" $(TESTS)
 
-test-slow: build node $(VENV)/.test ## the slow tests alone (50 minutes; PART=1/8)
-	$(PYTEST) -m slow $(if $(PART),--part $(PART)) $(TESTS)
+test-slow: build node $(VENV)/.test ## the slow tests alone
+	$(PYTEST) -m slow $(TESTS)
 
-test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (70 minutes; out/tests.json)
-	$(PYTEST) --times $${ZYGOS_OUT:-out}/tests.json $(TESTS)
+test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (out/tests.json)
+	$(PYTEST) --budget $(WHOLE_BUDGET) --times $${ZYGOS_OUT:-out}/tests.json $(TESTS)
 
 # The package as links to its files, so that the library beside them can be another one.
 COVERED := $(BUILD)/coverage
@@ -119,7 +122,7 @@ coverage: build node $(VENV)/.test ## the quick tests and some slow ones, counti
 	cp -rs $(CURDIR)/harness/zygos $(COVERED)/harness
 	rm -r $(COVERED)/harness/zygos/_native
 	CFLAGS="$(CFLAGS) --coverage" $(BIN)/python tools/build_native.py $(COVERED)/harness/zygos/_native
-	PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m "not slow" -o quick_limit_s=0 --cov --cov-report= $(TESTS)
+	PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m "not slow" -o quick_limit=0 --cov --cov-report= $(TESTS)
 	PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m slow --cov --cov-append --cov-report= $(COVERED_TESTS)
 	$(BIN)/gcovr --json-summary $(COVERED)/c.json
 	$(BIN)/coverage report

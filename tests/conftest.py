@@ -12,10 +12,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from zygos.arm import Arm, load_arm
 from zygos.model.model import Model, load_model
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Scenario, load_scenario
 
 pytest_plugins = ["zygos.testing", "tiers", "schema_support"]
@@ -71,18 +72,11 @@ def true(arm: Arm, model: Model) -> NDArray[np.float64]:
 
 @pytest.fixture(scope="session")
 def clean(arm: Arm, model: Model, scenario: Scenario) -> Callable[[float], Trajectory]:
-    """The example without noise at a given SYNC period, simulated once a session."""
-    known: dict[float, Trajectory] = {}
-
-    def at(period_s: float = arm.period_s) -> Trajectory:
-        if period_s not in known:
-            known[period_s] = simulate(arm, model, scenario, noise=False, period_s=period_s)
-        return known[period_s]
-
-    return at
+    """The example without noise at a given SYNC period."""
+    return lambda period_s=arm.period_s: trajectory_of(arm, model, scenario, noise=False, period_s=period_s)
 
 
 @pytest.fixture(scope="session")
 def noisy(arm: Arm, model: Model, scenario: Scenario) -> Trajectory:
     """The example with the noise of the paper, seeds 0 .. 49."""
-    return simulate(arm, model, scenario, seeds=range(50), noise=True)
+    return trajectory_of(arm, model, scenario, seeds=range(50), noise=True)

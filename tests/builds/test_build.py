@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from build_support import run, tool
 from calls_support import Calls
+from runs_support import trajectory_of
 
 from conftest import house_flags
 from zygos.arm import Arm, load_arm
 from zygos.model.model import load_model
 from zygos.native import flight
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -236,7 +236,7 @@ def test_capacity_changes_no_bit(example: str, joints: int, tmp_path: Path, monk
     folder = ROOT / "examples" / example
     scenario, model = load_scenario(folder / "scenario.toml"), load_model(folder / "model.toml")
     arm = replace(load_arm(folder / "arm.toml"), momentum_max_s=10.0)
-    cycles = simulate(arm, model, scenario, engine="pinocchio", noise=True, duration_s=30.0).cycles()
+    cycles = trajectory_of(arm, model, scenario, engine="pinocchio", noise=True, duration_s=30.0).cycles()
     large = results(arm, cycles)
     spatial = int(arm.spatial)
     flags = f"-DZYGOS_MAX_JOINTS={joints} -DZYGOS_MAX_EFFECTS=0 -DZYGOS_SPATIAL={spatial}"

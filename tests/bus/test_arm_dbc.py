@@ -14,13 +14,13 @@ import cantools
 import numpy as np
 import pytest
 from cantools.database.can import Database
+from cli_support import run
 from e2e.p02 import e2e_p02_check
 from numpy.typing import NDArray
 from wire_support import SEVEN_NODES, arm_text, wandering
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
-from zygos.cli import main
 from zygos.model.model import load_model
 from zygos.native.flight import FRAME, Flight, encode, ffi, lib
 from zygos.simulation.plant import Trajectory
@@ -28,12 +28,6 @@ from zygos.simulation.plant import Trajectory
 Log = NDArray[Any]
 SEVEN = ("yaw", "pitch", "roll", "elbow", "w1", "w2", "w3")
 ANGLE, TORQUE = 2.0 * math.pi / 2**20, 1e-4
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from cli_support import run
 from numpy.typing import NDArray
 from wire_support import SEVEN_NODES, arm_text, wandering
 
@@ -21,7 +22,6 @@ from conftest import EXAMPLE, ROOT, need
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.can.load import OTHERS, exact_bits, plan, usage, worst_bits
-from zygos.cli import main
 from zygos.errors import ZygosError
 from zygos.native.flight import FRAME, encode
 from zygos.simulation.plant import Trajectory
@@ -30,12 +30,6 @@ Log = NDArray[Any]
 STRANGERS = Path(ROOT).parent / "shared" / "data" / "foreign-can" / "savvycan-candump.log"
 SEVEN = ("yaw", "pitch", "roll", "elbow", "w1", "w2", "w3")
 EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def frame(identifier: int, data: bytes, flags: int = 0) -> Log:

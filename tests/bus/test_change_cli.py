@@ -9,24 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bus_support import playing
+from cli_support import run
+from runs_support import trajectory_of
 
 from conftest import EXAMPLE
 from zygos.arm import load_arm
 from zygos.can import bus
-from zygos.cli import main
 from zygos.model.model import Model, Quantity, load_model
 from zygos.native.flight import encode
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 pytestmark = pytest.mark.slow
 BODIES = {"a00", "a01", "a02", "a11", "a12", "a22"}
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def heavier(model: Model) -> Model:
@@ -46,9 +40,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     arm, model = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
     scenario = load_scenario(EXAMPLE / "scenario.toml")
     heavy = heavier(model)
-    same = simulate(arm, model, scenario, duration_s=250.0, seeds=[1]).cycles(0)
-    before = simulate(arm, model, scenario, duration_s=120.0, seeds=[1]).cycles(0)
-    after = simulate(arm, heavy, scenario, duration_s=130.0, seeds=[2]).cycles(0)
+    same = trajectory_of(arm, model, scenario, duration_s=250.0, seeds=[1]).cycles(0)
+    before = trajectory_of(arm, model, scenario, duration_s=120.0, seeds=[1]).cycles(0)
+    after = trajectory_of(arm, heavy, scenario, duration_s=130.0, seeds=[2]).cycles(0)
     after = replace(after, sync=after.sync + np.uint64(2400 + 17))
     (folder / "arm.toml").write_bytes((EXAMPLE / "arm.toml").read_bytes())
     bus.write_log(folder / "same.blf", encode(arm, same), arm.period_s)

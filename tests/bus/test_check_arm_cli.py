@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_support import run
 from scipy.io import loadmat
 
 from conftest import EXAMPLE, ROOT, need
 from zygos.arm import Arm
 from zygos.audit.readings import noise_level
 from zygos.can import bus
-from zygos.cli import main
 from zygos.native.flight import encode
 from zygos.runs.cycles import Cycles
 from zygos.runs.tables import write_cycles
@@ -27,14 +27,6 @@ from zygos.simulation.plant import Trajectory
 
 ARM = EXAMPLE / "arm.toml"
 KR300 = ROOT.parent / "shared" / "data" / "kr300" / "run_a.mat"
-
-
-def run(*arguments: object) -> int:
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
 
 
 @pytest.fixture

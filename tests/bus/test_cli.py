@@ -19,13 +19,13 @@ import can
 import numpy as np
 import pytest
 from bus_support import playing
+from cli_support import run
 from numpy.typing import NDArray
 from schema_support import hold
 
 from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli import main
 from zygos.cli import simulate as simulate_command
 from zygos.demo import demonstration as demo
 from zygos.errors import ZygosError
@@ -35,12 +35,6 @@ from zygos.native.flight import Flight
 from zygos.reference import compare as check
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.fixture(scope="module")

@@ -19,20 +19,15 @@ from typing import Any
 
 import pytest
 import typer
+from cli_support import run
 
 from conftest import EXAMPLE, ROOT
 from zygos.arm import load_arm
 from zygos.can import bus
-from zygos.cli import COMMANDS, app, load, main
+from zygos.cli import COMMANDS, app, load
 from zygos.files.tables import TABLE_SUFFIXES
 from zygos.native.flight import Flight
 from zygos.runs.tables import write_cycles
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def words(text: str) -> str:

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from cli_support import run
 from schema_support import hold
 from wire_support import SEVEN_NODES, arm_text
 
 from conftest import EXAMPLE, ROOT, need
 from zygos.arm import load_arm
-from zygos.cli import main
 from zygos.model.model import load_model
 from zygos.native import snapshot
 from zygos.native.flight import Flight, config_of, ffi
@@ -31,12 +31,6 @@ PROGRAM = """
 #include "arm_config.h"
 int main(void) { return fwrite(&arm_config, sizeof arm_config, 1, stdout) == 1 ? 0 : 1; }
 """
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def compiled(folder: Path, compiler: str, *flags: str) -> subprocess.CompletedProcess[str]:

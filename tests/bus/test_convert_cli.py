@@ -13,20 +13,20 @@ import can
 import numpy as np
 import pytest
 import telemetry_support as foreign
+from cli_support import run
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
 
 from conftest import EXAMPLE, PAPER, ROOT, need
 from zygos.arm import NO_IMU, Arm, load_arm
 from zygos.can import bus
-from zygos.cli import main
 from zygos.files.tables import write_columns
 from zygos.model.model import Model, load_model
 from zygos.native.flight import Estimate, Flight, encode
 from zygos.runs.cycles import Cycles
 from zygos.runs.tables import read_cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario, load_scenario
 from zygos.telemetry.grid import regrid, tracks
 from zygos.telemetry.map import load_map, read_table
@@ -35,12 +35,6 @@ FOLDER = foreign.EXAMPLE
 NAMES = ("Cycle", "Drive1Position", "Drive1Torque", "Drive2Position", "Drive2Torque", "RatesXY", "RateZ")
 RECEIVE = ('source = "sync"                       # a', 'source = "receive"\ninterpolation = "cubic"  # a')
 NO_SIGNAL = ('signal = "Cycle.Count"', "")
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def convert(log: Path, out: Path, *more: object, map_file: Path = FOLDER / "map.toml") -> int:
@@ -76,7 +70,7 @@ def spread(arm: Arm, cycles: Cycles, sizes: dict[str, float], seeds: int = 12) -
 
 @pytest.fixture(scope="module")
 def cycles(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
-    return simulate(arm, model, scenario, seeds=[3], noise=True).cycles()
+    return trajectory_of(arm, model, scenario, seeds=[3], noise=True).cycles()
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +168,7 @@ def test_with_a_counter_and_si_not_a_bit_changes(arm: Arm, cycles: Cycles, tmp_p
 @pytest.fixture(scope="module")
 def twice(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
     """The example with a servo at 40 Hz."""
-    return simulate(arm, model, scenario, seeds=[3], noise=True, period_s=0.025).cycles()
+    return trajectory_of(arm, model, scenario, seeds=[3], noise=True, period_s=0.025).cycles()
 
 
 def jittered(cycles: Cycles, folder: Path, seed: int = 0, share: float = 0.2) -> Path:
@@ -234,7 +228,7 @@ def test_a_log_without_a_counter(
 
 def without_noise(arm: Arm, model: Model, scenario: Scenario, run_: Cycles) -> NDArray[np.float64]:
     """(n, N) link angles of the same run, which the servo's noise moved, without the encoder's own errors."""
-    trajectory = simulate(arm, model, scenario, seeds=[3], noise=True, period_s=0.025)
+    trajectory = trajectory_of(arm, model, scenario, seeds=[3], noise=True, period_s=0.025)
     assert np.array_equal(trajectory.cycles().q, run_.q)
     angles: NDArray[np.float64] = trajectory.q[0]
     return angles
@@ -303,7 +297,7 @@ def test_a_recording_that_is_too_slow(
     text = (EXAMPLE / "arm.toml").read_text().replace("quantum_rad = 0.003", "quantum_rad = 6e-6")
     sharp = tmp_path / "sharp.toml"
     sharp.write_text(text)
-    fast = simulate(load_arm(sharp), model, scenario, seeds=[3], noise=True, period_s=0.0125).cycles()
+    fast = trajectory_of(load_arm(sharp), model, scenario, seeds=[3], noise=True, period_s=0.0125).cycles()
     map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
     for step, needed in ((8, 40.0), (2, None)):
         picked = Cycles(*(getattr(fast, name)[::step] for name in Cycles.__dataclass_fields__))
@@ -686,7 +680,7 @@ def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
     assert run("convert", FOLDER / "run.blf", *options, "-o", tmp_path / "run.blf") == 0
     assert run("estimate", tmp_path / "run.blf", "-o", tmp_path / "model.toml") == 0
     assert run("convert", FOLDER / "run.blf", *options, "-o", tmp_path / "run.npz") == 0
-    told = simulate(arm, model, scenario, seeds=[7], noise=True, duration_s=10.0).cycles()
+    told = trajectory_of(arm, model, scenario, seeds=[7], noise=True, duration_s=10.0).cycles()
     got = read_cycles(tmp_path / "run.npz", arm)
     for name, step in foreign.STEPS.items():
         assert np.max(np.abs(getattr(got, name)[:200] - getattr(told, name))) < 0.6 * step, name

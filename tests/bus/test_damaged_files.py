@@ -14,7 +14,8 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from log_support import SMALL, containers, run, write
+from cli_support import run
+from log_support import SMALL, containers, write
 from numpy.typing import NDArray
 
 from conftest import EXAMPLE

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from e2e.p02 import e2e_p02_protect
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from zygos import reference
 from zygos.arm import Arm
@@ -19,7 +20,6 @@ from zygos.model.model import Model
 from zygos.native.flight import FRAME, Flight, encode, ffi, lib
 from zygos.reference.compare import check_frames, decode
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 
 Log = NDArray[Any]
@@ -230,7 +230,7 @@ def test_every_kind_of_damage_together(hardware: Arm, whole: Log) -> None:
 def test_an_estimate_from_a_damaged_log(arm: Arm, model: Model, scenario: Scenario) -> None:
     """All rooms behind the receiver agree as well, over arcs that ended for many reasons and one that was void."""
     arm = replace(arm, compensate_every=0)
-    run = simulate(arm, model, scenario, seeds=[0], noise=False)
+    run = trajectory_of(arm, model, scenario, seeds=[0], noise=False)
     rng = np.random.default_rng(5)
     frames = encode(arm, run.cycles(0))
     syncs = np.flatnonzero(frames["id"] == SYNC)

@@ -10,22 +10,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from cli_support import run
 
 from conftest import EXAMPLE, ROOT
 from zygos.arm import load_arm
-from zygos.cli import main
 from zygos.cli.explain import flown, unflown
 from zygos.effects import CATALOGUE, Effect, effect
 from zygos.model.model import load_model, save_model
 
 FRICTION = 2.0
 """Nm at the elbow's rotor."""
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.fixture(scope="module")

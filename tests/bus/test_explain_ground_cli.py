@@ -9,20 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_support import run
 from ground_gap_support import Array, Law, axis, measured, nothing, sign, simulated, size
 
 from zygos.arm import save_arm
 from zygos.can.run import save_run
-from zygos.cli import main
 from zygos.effects import CATALOGUE, Effect
 from zygos.model.model import Model, Quantity, load_model, save_model
 from zygos.simulation.scenario import load_scenario
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def coulomb(q: Array, qd: Array) -> Array:

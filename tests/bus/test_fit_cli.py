@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_support import run
 from physical_support import estimate_of
 
 from conftest import EXAMPLE, ROOT
 from zygos.arm import load_arm
-from zygos.cli import main
 from zygos.model.model import Model, Quantity, load_model, save_model
 
 SPATIAL = ROOT / "examples" / "spatial"
@@ -31,12 +31,6 @@ URDF = """<robot name="paper">
   </joint>
 </robot>
 """
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.fixture

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from log_support import run as zygos
+from cli_support import run as zygos
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from conftest import EXAMPLE, ROOT, need
 from zygos.arm import Arm
@@ -20,7 +21,6 @@ from zygos.estimation.remedies import NO_FRAMES
 from zygos.model.model import Model
 from zygos.native.flight import Flight, encode, ffi, lib
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 
 Log = NDArray[Any]
@@ -40,7 +40,7 @@ def strangers() -> Log:
 
 @pytest.fixture(scope="module")
 def ours(arm: Arm, model: Model, scenario: Scenario) -> Log:
-    return encode(arm, simulate(arm, model, scenario, seeds=[0], noise=True).cycles(0))
+    return encode(arm, trajectory_of(arm, model, scenario, seeds=[0], noise=True).cycles(0))
 
 
 class Run:

@@ -9,20 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from cli_support import run
 from ground_support import heavier, recorded, short_arm
 
 from zygos.arm import Arm, save_arm
 from zygos.can.run import save_run
-from zygos.cli import main
 from zygos.model.model import load_model, save_model
 
 ROOT = Path(__file__).parents[2]
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.fixture(scope="module")

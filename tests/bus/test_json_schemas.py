@@ -15,24 +15,19 @@ from typing import Any
 
 import pytest
 from bus_support import playing
+from cli_support import run
 from jsonschema import Draft202012Validator
 from schema_support import OF_COMMAND, SCHEMAS, hold
 
 from conftest import EXAMPLE, ROOT
 from zygos import testing
 from zygos.arm import load_arm
-from zygos.cli import COMMANDS, load, main
+from zygos.cli import COMMANDS, load
 from zygos.effects import CATALOGUE, Effect
 from zygos.model.model import load_model, save_model
 
 ARM, MODEL, SCENARIO = (EXAMPLE / f"{name}.toml" for name in ("arm", "model", "scenario"))
 TELEMETRY, URDF = ROOT / "examples" / "telemetry", ROOT / "examples" / "urdf"
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.fixture(scope="module")

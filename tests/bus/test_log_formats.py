@@ -9,7 +9,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from log_support import run
+from cli_support import run
 
 from conftest import EXAMPLE
 from zygos.arm import Arm

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_support import run
 from mcap.writer import Writer
+from runs_support import trajectory_of
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
-from zygos.cli import main
 from zygos.model.model import Model
 from zygos.runs.cycles import Cycles
 from zygos.runs.tables import read_cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 
 HEADER = "std_msgs/Header header\n"
@@ -142,12 +142,6 @@ def write(path: Path, run: Cycles, stamp: Callable[[int], int] = stamped, effort
     return path
 
 
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
-
-
 def convert(source: Path, out: Path, *more: object, text: str = MAP) -> int:
     map_file = source.parent / "map.toml"
     map_file.write_text(text)
@@ -156,7 +150,7 @@ def convert(source: Path, out: Path, *more: object, text: str = MAP) -> int:
 
 @pytest.fixture(scope="module")
 def recorded(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
-    cycles = simulate(arm, model, scenario, seeds=[3], noise=True, period_s=0.025).cycles()
+    cycles = trajectory_of(arm, model, scenario, seeds=[3], noise=True, period_s=0.025).cycles()
     return replace(
         cycles, **{name: getattr(cycles, name)[:1200] for name in ("sync", "q", "theta", "tau", "omega", "flags")}
     )

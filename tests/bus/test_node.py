@@ -19,6 +19,7 @@ from cantools.database.can import Database
 from node_support import ERROR, EXTENDED, FD, REMOTE, Node, build, frame_of, hear, packet
 from numpy.typing import NDArray
 from round_support import round_of, told
+from runs_support import trajectory_of
 
 from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm
@@ -29,7 +30,7 @@ from zygos.effects import effect
 from zygos.model.model import Model
 from zygos.native import snapshot
 from zygos.native.flight import Flight, encode, ffi
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Scenario
 
 SYNC, TELEMETRY, HEARTBEAT = 0x080, 0x1A0, 0x720
@@ -161,7 +162,7 @@ def test_an_effect_tells_its_significance(
     assert not end.value.code
     friction = effect("motor_viscous", "elbow", 10.0)
     if there:
-        frames = encode(arm, simulate(arm, replace(model, effects=(friction,)), scenario).cycles())
+        frames = encode(arm, trajectory_of(arm, replace(model, effects=(friction,)), scenario).cycles())
     with Node("--config", tmp_path / "arm.zyg", "--every", 100) as node:
         node.send(frames)
         node.end()

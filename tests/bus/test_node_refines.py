@@ -16,6 +16,7 @@ from bus_support import playing
 from node_support import Node, frame_of
 from numpy.typing import NDArray
 from round_support import round_of, told
+from runs_support import trajectory_of
 from schema_support import hold
 
 from conftest import EXAMPLE
@@ -26,7 +27,6 @@ from zygos.can.rounds import refined_of
 from zygos.cli import main
 from zygos.model.model import Model
 from zygos.native.flight import CHANNELS, Flight, encode, ffi, lib, text_of
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 
 SYNC, FTIME, TELEMETRY = 0x080, 0x3A0, 0x1A0
@@ -52,7 +52,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def frames(arm: Arm, model: Model, scenario: Scenario) -> Log:
-    return encode(arm, simulate(arm, model, scenario, seeds=[0], noise=True, duration_s=75.0).cycles(0))
+    return encode(arm, trajectory_of(arm, model, scenario, seeds=[0], noise=True, duration_s=75.0).cycles(0))
 
 
 class Twin:

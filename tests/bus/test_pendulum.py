@@ -10,13 +10,13 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from cli_support import run
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from conftest import ROOT, need, tool_module
 from zygos.arm import load_arm
-from zygos.cli import main
 from zygos.runs.samples import calibrate
 from zygos.runs.smoother import smooth
 from zygos.runs.tables import read_cycles
@@ -38,12 +38,6 @@ def table(name: str) -> dict[str, NDArray[np.float64]]:
         names = stream.readline().strip().split(",")
         rows = np.loadtxt(stream, delimiter=",")
     return {column: rows[:, k] for k, column in enumerate(names)}
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def convert(name: str, out: Path, *more: object) -> int:

@@ -9,19 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_support import random_arm
+from cli_support import run
 
 from conftest import EXAMPLE
 from zygos.arm import load_arm, save_arm
-from zygos.cli import main
 from zygos.effects import effect
 from zygos.model.model import load_model, save_model
 from zygos.simulation.scenario import load_scenario, save_scenario
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_support import run
 
 from conftest import EXAMPLE
 from zygos.arm import load_arm
@@ -22,7 +23,6 @@ from zygos.audit.findings import Audit, SignalFault
 from zygos.audit.page import write_audit_report
 from zygos.can import bus
 from zygos.can.run import Run
-from zygos.cli import main
 from zygos.effects import CATALOGUE, Effect
 from zygos.estimation.estimate import Estimation
 from zygos.estimation.ledger import balance
@@ -41,12 +41,6 @@ from zygos.runs.smoother import Smoothed, smooth
 ARM = EXAMPLE / "arm.toml"
 HOSTILE = "</script><script>alert(1)</script>\"'&"
 NOWHERE = Provenance("zygos", "1.2.3", ())
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.fixture(scope="module")

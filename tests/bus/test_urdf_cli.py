@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_support import run
 
 from conftest import ROOT
 from zygos.arm import load_arm
-from zygos.cli import main
 from zygos.model.model import Model, Quantity, load_model, save_model
 
 URDF, ANSWERS = ROOT / "examples" / "urdf" / "arm.urdf", ROOT / "examples" / "urdf" / "answers.toml"
@@ -34,12 +34,6 @@ PLANAR = """<robot name="gap">
   </joint>
 </robot>
 """
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def import_into(folder: Path, *more: object) -> int:

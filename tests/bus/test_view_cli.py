@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_support import run
 from numpy.typing import NDArray
 
 from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli import main
 from zygos.dynamics.pose import motion, skeleton
 from zygos.native.flight import encode
 from zygos.runs.cycles import Cycles
@@ -42,12 +42,6 @@ MODEL = EXAMPLE / "model.toml"
 LINK_M, END_M, BASE_M = 10.0, 5.0, 5.0
 """Of the paper's arm: shoulder to elbow, elbow to the end, the base's mass centre to the shoulder."""
 MASSES = (4001.0, 201.0, 1000.0)
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def cycles(q: Floats, deflection: float = 0.0, rate: float = 0.0) -> Cycles:

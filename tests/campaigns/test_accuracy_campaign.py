@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from conftest import ROOT
 from zygos.accuracy import __main__ as command
@@ -39,7 +40,7 @@ from zygos.paper.methods import eb
 from zygos.paper.tables import flight_estimates, noisy_record
 from zygos.refinement.bound import bound
 from zygos.refinement.inertia import inertia
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
@@ -104,7 +105,7 @@ def test_a_small_campaign_says_what_the_methods_say_by_themselves(
     content = json.loads((tiny / "a.json").read_text())
     entries = {(entry["case"], entry["estimator"]): entry for entry in content["cases"]}
     assert set(entries) == {(case, one.name) for case in ("paper-60", "lost") for one in ESTIMATORS}
-    run = simulate(arm, model, scenario, seeds=range(2), duration_s=60.0, noise=True)
+    run = trajectory_of(arm, model, scenario, seeds=range(2), duration_s=60.0, noise=True)
     # the wire rounds what EB is given in the campaign
     expected = {
         "flight": (flight_estimates(arm, run), 1e-5),
@@ -364,7 +365,7 @@ def read_back(case: Case, trajectory: Trajectory, number: int) -> Any:
 
 @pytest.fixture(scope="module")
 def motion(arm: Arm, model: Model, scenario: Scenario) -> Trajectory:
-    return simulate(arm, model, scenario, seeds=[0], noise=True)
+    return trajectory_of(arm, model, scenario, seeds=[0], noise=True)
 
 
 def angle_errors(case: Case, motion: Trajectory, number: int) -> tuple[Arm, Floats]:
@@ -427,7 +428,7 @@ def test_one_joint_is_lost_in_one_of_a_hundred_cycles(motion: Trajectory) -> Non
 
 def test_the_arm_rests_and_then_moves_along_a_sine() -> None:
     case = CASES["rest"]
-    run = simulate(case.plant, case.model, case.scenario, noise=False)
+    run = trajectory_of(case.plant, case.model, case.scenario, noise=False)
     still = run.t < case.rest_s
     np.testing.assert_allclose(run.qd[0, still], 0.0, atol=1e-9)
     t = run.t[~still, None] - case.rest_s
@@ -494,7 +495,7 @@ def test_refinement_is_asked_of_the_first_seeds_of_planar_arms() -> None:
 def test_what_refinement_does_not_publish_is_refused() -> None:
     """Torques that are noisier than declared: the rule is named, and nothing is counted."""
     case = CASES["torque-1"]
-    motion = simulate(case.plant, case.model, case.scenario, seeds=[0], duration_s=20.0, noise=True)
+    motion = trajectory_of(case.plant, case.model, case.scenario, seeds=[0], duration_s=20.0, noise=True)
     _, frames = sensed(case, motion, 0, 0)
     answer = refined(CASES["paper-60"].arm, frames, Prior(0.0))
     assert (answer.validity, answer.value) == ("refused", None)

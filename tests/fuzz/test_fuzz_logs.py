@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_support import run
 from converter_support import logconvert
-from log_support import KINDS, run, write
+from log_support import KINDS, write
 
 from conftest import EXAMPLE
 from zygos.arm import Arm

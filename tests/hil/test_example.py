@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 from vcan_support import CHANNEL, listeners, wait_for_listeners
 
 from conftest import PAPER, ROOT
@@ -19,13 +20,12 @@ from zygos.arm import Arm
 from zygos.can import bus, vcan
 from zygos.model.model import Model, load_model
 from zygos.native.flight import Flight, encode
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 
 
 @pytest.fixture(scope="module")
 def frames(arm: Arm, model: Model, scenario: Scenario) -> NDArray[np.void]:
-    return encode(arm, simulate(arm, model, scenario).cycles())
+    return encode(arm, trajectory_of(arm, model, scenario).cycles())
 
 
 def bits(arm: Arm, frames: NDArray[np.void]) -> bytes:

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from conftest import ROOT, need
 from zygos.arm import Arm, load_arm
 from zygos.model.model import load_model
 from zygos.native import flight
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 sys.path.insert(0, str(ROOT / "tools"))
@@ -81,7 +81,7 @@ def recorded(example: str, period_s: float | None = None, duration_s: float | No
     model = load_model(folder / "model.toml")
     arm = arm if period_s is None else arm.at_period(period_s)
     seconds = DURATION_S[example] if duration_s is None else duration_s
-    run = simulate(arm, model, scenario, noise=True, duration_s=seconds, rtol=1e-6, atol=1e-8)
+    run = trajectory_of(arm, model, scenario, noise=True, duration_s=seconds, rtol=1e-6, atol=1e-8)
     return arm, run.cycles()
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from runs_support import trajectory_of
 
 from conftest import ROOT
 from soak.traffic import Book, disturbed
@@ -24,7 +25,7 @@ from zygos.model.model import Model, load_model
 from zygos.native import snapshot
 from zygos.native.flight import Estimate, Flight, encode
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import record, simulate
+from zygos.simulation.plant import record
 from zygos.simulation.scenario import Scenario, load_scenario
 from zygos.simulation.sensors import no_noise
 
@@ -153,7 +154,7 @@ def stored(soak: Soak, folder: Path) -> list[Cycles]:
     told = repr((arm, model, scenario, soak.motion_s, soak.motions))
 
     def simulated() -> list[Cycles]:
-        run = simulate(arm, model, scenario, noise=True, seeds=range(soak.motions), duration_s=soak.motion_s)
+        run = trajectory_of(arm, model, scenario, noise=True, seeds=range(soak.motions), duration_s=soak.motion_s)
         silent = replace(run, noise=no_noise(run.arm, len(run.t), run.seeds))
         return [record(silent, k) for k in range(soak.motions)]
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, Smoother
@@ -17,7 +18,7 @@ from zygos.paper.methods import amc, de, eb, exact_record
 from zygos.paper.tables import flight_estimates, noisy_record
 from zygos.reference.compare import check_frames, sizes
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Scenario, load_scenario
 from zygos.simulation.score import score
 
@@ -142,7 +143,7 @@ def test_a_snap_of_a_300_s_run_is_survived(arm: Arm, model: Model, true: Floats)
     for k in range(3):
         q1, q2 = scenario.initial_angles_rad
         start = replace(scenario, initial_angles_rad=(q1 + k * 1e-11, q2))
-        cycles = simulate(arm, model, start).cycles()
+        cycles = trajectory_of(arm, model, start).cycles()
         plain.append(score(without_constants(blind, cycles), true).mean)
         estimate = through_cycles(arm, cycles)
         assert estimate.validity == "valid"
@@ -201,7 +202,7 @@ def test_pieces_of_a_run_with_fine_encoders_give_no_wild_numbers(arm: Arm, model
         for joint in arm.joints
     )
     fine = replace(arm, joints=joints)
-    run = simulate(fine, model, scenario, seeds=range(6), noise=True, period_s=0.005, duration_s=30.0, rtol=1e-9)
+    run = trajectory_of(fine, model, scenario, seeds=range(6), noise=True, period_s=0.005, duration_s=30.0, rtol=1e-9)
     true = model.base_values(arm)
     size = sizes(arm, true)
     names = Cycles.__dataclass_fields__
@@ -224,7 +225,7 @@ def test_pieces_of_a_run_with_fine_encoders_give_no_wild_numbers(arm: Arm, model
 def test_an_arm_at_rest_identifies_nothing(arm: Arm, model: Model, scenario: Scenario) -> None:
     still = {joint: replace(motion, sines=()) for joint, motion in scenario.manoeuvre.items()}
     rest = replace(scenario, manoeuvre=still, angular_momentum_nms=0.0)
-    trajectory = simulate(arm, model, rest, seeds=range(4), noise=True)
+    trajectory = trajectory_of(arm, model, rest, seeds=range(4), noise=True)
     for k in range(4):
         estimate = through_cycles(arm, trajectory.cycles(k))
         assert (estimate.validity, np.isfinite(estimate.value).any()) == ("refused", False)

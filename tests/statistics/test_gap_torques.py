@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from runs_support import trajectory_of
 
 from zygos.arm import load_arm
 from zygos.gap.explain import explain
@@ -16,7 +17,6 @@ from zygos.gap.record import MeasuredRun, read_measured_run
 from zygos.gap.torques import with_torque_noise
 from zygos.model.model import load_model
 from zygos.native.flight import encode
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 GAP = Path(__file__).parents[2] / "examples" / "gap"
@@ -31,7 +31,9 @@ def clean(name: str, duration_s: float = 30.0) -> MeasuredRun:
     """A run of the example's arm, whose torques have no error."""
     arm, model = load_arm(GAP / "arm.toml"), load_model(GAP / "cad.toml")
     seed = "abc".index(name)
-    run = simulate(arm, model, load_scenario(GAP / f"{name}.toml"), seeds=[seed], noise=True, duration_s=duration_s)
+    run = trajectory_of(
+        arm, model, load_scenario(GAP / f"{name}.toml"), seeds=[seed], noise=True, duration_s=duration_s
+    )
     return read_measured_run(arm, Path(f"{name}.blf"), encode(arm, run.cycles()))
 
 

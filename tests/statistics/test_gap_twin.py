@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gap_support import Floats, centred, dense, effect, example, rms, true_columns
+from runs_support import trajectory_of
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import TORQUE_STEP, Arm, Joint
@@ -32,7 +33,7 @@ from zygos.gap.twin import Twin, draws, follow, measure
 from zygos.model.model import Model
 from zygos.native.flight import encode
 from zygos.runs.samples import calibrate
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import EncoderNoise
 from zygos.simulation.sensors import draw_noise
 
@@ -61,7 +62,7 @@ def trajectory(run: str) -> Trajectory:
     """A run whose servo sees truly quantised encoders."""
     arm, model, scenario = example(run)
     assert scenario.encoder_noise == "quantised"
-    return simulate(arm, model, scenario, duration_s=DURATION_S, rtol=1e-9, atol=1e-11, noise=True)
+    return trajectory_of(arm, model, scenario, duration_s=DURATION_S, rtol=1e-9, atol=1e-11, noise=True)
 
 
 def displaced(arm: Arm, seed: int) -> Arm:
@@ -302,7 +303,7 @@ def test_friction_does_not_leave_the_path_either() -> None:
     """A twin without the friction that the run has."""
     arm, model, scenario = example("b")
     friction = effect(arm, "motor_coulomb", 0, 0.5)
-    moved = simulate(arm, replace(model, effects=(friction,)), scenario, duration_s=8.0, rtol=1e-9, atol=1e-11)
+    moved = trajectory_of(arm, replace(model, effects=(friction,)), scenario, duration_s=8.0, rtol=1e-9, atol=1e-11)
     one = read_measured_run(arm, Path("b"), encode(arm, moved.cycles()))
     (twin,) = follow(true_dynamics(), [one])
     away = np.abs(twin.exact.q - one.readings().q).max(axis=(0, 1)) / np.ptp(one.readings().q, axis=(0, 1))

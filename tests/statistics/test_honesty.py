@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from flight_support import bytes_of, part
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from zygos.arm import Arm, load_arm
 from zygos.model.model import load_model
 from zygos.native.flight import REASONS, Estimate, Flight, ffi, lib
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import load_scenario
 from zygos.simulation.sensors import draw_noise
 
@@ -32,7 +33,7 @@ def moved(example: str, model: str, scenario: str, duration_s: float) -> tuple[T
     """A run that no sensor touched, and the true parameters; simulated once a session."""
     folder = EXAMPLES / example
     arm, plant = load_arm(folder / "arm.toml"), load_model(folder / model)
-    run = simulate(
+    run = trajectory_of(
         arm, plant, load_scenario(folder / scenario), noise=False, duration_s=duration_s, rtol=1e-9, atol=1e-11
     )
     return run, plant.base_values(arm)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from arm_support import random_arm
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -33,7 +34,7 @@ from zygos.balances.state import State
 from zygos.effects import Effect, Kind
 from zygos.model import gram
 from zygos.model.model import Model, load_model
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Controller, Scenario, Sine, load_scenario
 
 Floats = NDArray[np.float64]
@@ -70,7 +71,7 @@ def arm_of(name: str) -> tuple[Arm, Model, Scenario]:
 def moved(name: str, *effects: Effect) -> Trajectory:
     """The motion with effects, without noise."""
     arm, model, scenario = arm_of(name)
-    return simulate(
+    return trajectory_of(
         arm,
         replace(model, effects=effects),
         scenario,

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from zygos.arm import Arm, load_arm
 from zygos.balances.readings import Readings
 from zygos.effects import CATALOGUE, Effect
 from zygos.gap.balances import BalanceRows, Layout
 from zygos.model.model import Model, load_model
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Scenario, load_scenario
 
 Floats = NDArray[np.float64]
@@ -36,7 +37,7 @@ def effect(arm: Arm, key: str, joint: int, value: float) -> Effect:
 def moved(run: str, duration_s: float, *effects: Effect) -> Trajectory:
     """A run of the example without noise, with effects in the plant; simulated once a session."""
     arm, model, scenario = example(run)
-    return simulate(
+    return trajectory_of(
         arm, replace(model, effects=effects), scenario, noise=False, duration_s=duration_s, rtol=1e-10, atol=1e-12
     )
 

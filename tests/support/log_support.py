@@ -6,23 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import can
-import pytest
 from numpy.typing import NDArray
 
 from zygos.can import bus
-from zygos.cli import main
 
 SMALL = 8192
 """Bytes that the containers of "small.blf" hold, before compression."""
 KINDS = (".log", ".asc", ".trc", ".mf4", "small.blf", "stored.blf")
 """Of logs; the .blf are of many containers, compressed or not."""
-
-
-def run(*arguments: object) -> int:
-    """A command as a user types it. Returns the exit code."""
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def write(folder: Path, kind: str, frames: NDArray[Any], period_s: float, container: int = SMALL) -> Path:

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from conftest import ROOT
 from zygos.arm import Arm, load_arm
@@ -19,7 +20,7 @@ from zygos.native.flight import Flight
 from zygos.refinement.inertia import inertia_errors
 from zygos.refinement.refine import Refinement, refine_runs
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
@@ -117,7 +118,7 @@ def moved(
 ) -> Trajectory:
     """Simulated runs of several seeds."""
     scenario = load_scenario(ROOT / "examples" / example / "scenario.toml")
-    return simulate(
+    return trajectory_of(
         noisy(example, noise), plant(example, effects), scenario, seeds=seeds, duration_s=duration_s,
         rtol=1e-10, atol=1e-12,
     )  # fmt: skip
@@ -166,7 +167,7 @@ def flown(case: Case, seed: int, duration_s: float = 120.0) -> Cycles:
     """The cycles of a run, as the sensors of the case report them."""
     scenario = load_scenario(ROOT / "examples" / case.example / "scenario.toml")
     plants = plant(case.example, case.effects)
-    run = simulate(noisy(case.example, case.noise), plants, scenario, seeds=[seed], duration_s=duration_s,
+    run = trajectory_of(noisy(case.example, case.noise), plants, scenario, seeds=[seed], duration_s=duration_s,
                    rtol=1e-6, atol=1e-8).cycles()  # fmt: skip
     return reported(case, seed, run)
 

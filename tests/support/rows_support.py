@@ -12,6 +12,7 @@ from arm_support import random_arm
 from flight_support import part
 from numpy.typing import NDArray
 from plant_support import lively
+from runs_support import trajectory_of
 
 from zygos.arm import Arm, Encoder, Smoother, load_arm
 from zygos.balances import arcs
@@ -21,7 +22,6 @@ from zygos.native.flight import Flight, ffi, lib
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import Samples, calibrate
 from zygos.runs.smoother import Smoothed, smooth
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
@@ -49,12 +49,12 @@ def run(name: str) -> tuple[Arm, Cycles, Floats, tuple[Effect, ...]]:
         arm = load_arm(SPATIAL / "arm.toml").at_period(0.005)
         model, scenario = load_model(SPATIAL / "model.toml"), load_scenario(SPATIAL / "scenario.toml")
         arm = replace(arm, smoother=Smoother(7, 4, 3))
-        moved = simulate(arm, model, scenario, noise=False, duration_s=2.5, rtol=1e-10, atol=1e-12)
+        moved = trajectory_of(arm, model, scenario, noise=False, duration_s=2.5, rtol=1e-10, atol=1e-12)
         return arm, moved.cycles(), model.base_values(arm), ()
     arm, model, scenario = lively()
     effects = LIVELY_EFFECTS if name == "lively" else ()
     plant = replace(model, effects=effects)
-    moved = simulate(
+    moved = trajectory_of(
         arm, plant, scenario, noise=False, period_s=0.02 if effects else 0.01, duration_s=12.0, rtol=1e-11, atol=1e-13
     )
     values = np.concatenate([model.base_values(arm), [one.value for one in effects]])

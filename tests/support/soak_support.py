@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from runs_support import trajectory_of
 
 from zygos.arm import Arm
 from zygos.model.model import Model
 from zygos.native.flight import Flight, ffi, lib
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 
 DURATION_S = 60.0
@@ -24,7 +24,7 @@ def with_all_rows(arm: Arm) -> Arm:
 
 def stored(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
     """A minute without noise."""
-    return simulate(arm, model, scenario, noise=False, duration_s=DURATION_S).cycles()
+    return trajectory_of(arm, model, scenario, noise=False, duration_s=DURATION_S).cycles()
 
 
 def again(arm: Arm, motion: Cycles, first: int, rng: np.random.Generator) -> Cycles:

@@ -11,6 +11,7 @@ import pytest
 from arm_support import random_arm
 from motion_support import FLEXIBLE, sines
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Encoder, load_arm
@@ -23,7 +24,6 @@ from zygos.reference.compare import check_frames, tables
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import calibrate
 from zygos.runs.smoother import smooth
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
@@ -116,7 +116,7 @@ def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: 
     arm, model = load_arm(folder / "arm.toml").at_period(0.002), load_model(folder / "model.toml")
     scenario = load_scenario(folder / "scenario.toml")
     arm = replace(arm, compensate_every=0)  # there is no noise
-    run = simulate(
+    run = trajectory_of(
         arm, model, scenario, engine="pinocchio", noise=False, duration_s=learn_s + 2.0, rtol=1e-10, atol=1e-12
     )
     learned, cycles = round(learn_s / arm.period_s), run.cycles()

@@ -23,6 +23,7 @@ from audit_support import (
     stuck,
     swapped,
 )
+from runs_support import trajectory_of
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
@@ -42,7 +43,6 @@ from zygos.errors import ZygosError
 from zygos.model.model import load_model
 from zygos.native.flight import WINDOW_MAX, Flight
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 GAP = ROOT / "examples" / "gap"
@@ -60,7 +60,7 @@ def run(name: str, arm: Arm, seeds: int, effects: list[tuple[str, str, float]] =
         options = {"duration_s": 30.0, "rtol": 1e-9, "atol": 1e-11}
     found = tuple(Effect(CATALOGUE[kind], joint, value) for kind, joint, value in effects)
     model = replace(model, effects=model.effects + found)
-    trajectory = simulate(arm, model, scenario, seeds=range(seeds), noise=True, **options)
+    trajectory = trajectory_of(arm, model, scenario, seeds=range(seeds), noise=True, **options)
     return [over_the_bus(arm, trajectory.cycles(k)) for k in range(seeds)]
 
 
@@ -97,7 +97,7 @@ def test_a_smoother_that_flattens_the_motion_is_named_and_the_next_one_is_right(
     """Fine encoders on a fixed base: what the polynomial takes off the motion is more than is left of the noise."""
     (case,) = chosen(all_cases(ROOT / "examples"), ["fixed"])
     arm = replace(case.arm, smoother=Smoother(25, 6, 12))
-    trajectory = simulate(case.plant, case.model, case.scenario, seeds=[0], noise=True)
+    trajectory = trajectory_of(case.plant, case.model, case.scenario, seeds=[0], noise=True)
     cycles = over_the_bus(arm, trajectory.cycles(0))
     found = audit(arm, cycles)
     assert named(found) == {"smoother": "of order 6 flattens the motion"}

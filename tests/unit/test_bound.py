@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from arm_support import random_arm
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from conftest import ROOT
 from zygos.arm import TORQUE_STEP, Arm, load_arm
@@ -20,7 +21,6 @@ from zygos.errors import Undecided, ZygosError
 from zygos.model.model import Model, load_model
 from zygos.refinement.bound import bound
 from zygos.refinement.motion import FlexibleMotion
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario, load_scenario
 
 Floats = NDArray[np.float64]
@@ -99,7 +99,7 @@ def test_derivatives_of_a_period_are_differences_of_its_end() -> None:
 def dense(arm: Arm, model: Model, scenario: Scenario, relative: float) -> Floats:
     """(p,) sigmas of least squares for the state at the start, the bias and its steps, the errors of all torques, and
     the parameters, from all readings at once. The motion's derivatives are differences of exact integrations."""
-    run = simulate(arm, model, scenario, rtol=1e-10, atol=1e-12)
+    run = trajectory_of(arm, model, scenario, rtol=1e-10, atol=1e-12)
     values = np.array(model.base_values(arm))
     wire = arm.over_the_wire
     n, joints, p = len(run.t), arm.n, len(values)

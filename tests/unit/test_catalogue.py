@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from catalogue_support import ARMS, PERIOD_S, arm_of, columns, exact, moved, read, residuals, scales
+from runs_support import trajectory_of
 
 from zygos.balances.readings import Readings
 from zygos.dynamics.equations import equations
@@ -36,7 +37,6 @@ from zygos.effects import (
 from zygos.errors import ZygosError
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
-from zygos.simulation.plant import simulate
 
 SHARE = 0.005
 """Size of an effect: what it does is so much of the largest term of the balance that sees it best."""
@@ -290,7 +290,7 @@ def test_what_the_flight_library_lacks_is_refused(key: str) -> None:
 def test_a_simulated_sensor_reads_what_the_entry_makes_of_it() -> None:
     arm, model, scenario = arm_of(ARMS[1])
     wrong = (effect("link_late", "shoulder", 2e-4), effect("gyro_misalignment", value=0.01, component="y"))
-    seen = simulate(arm, replace(model, effects=wrong), scenario, noise=False, seeds=[0], duration_s=0.2)
+    seen = trajectory_of(arm, replace(model, effects=wrong), scenario, noise=False, seeds=[0], duration_s=0.2)
     plain = seen.cycles().omega @ arm.mount.T
     exact_rate = seen.omega0[0]
     turned = np.cross(exact_rate, [0.0, 0.01, 0.0])

@@ -12,6 +12,7 @@ import pytest
 from flight_support import joined, part, sines
 from numpy.typing import NDArray
 from plant_support import LIVELY, lively
+from runs_support import trajectory_of
 
 from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
@@ -30,7 +31,6 @@ from zygos.native.flight import (
     lib,
 )
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 
 Floats = NDArray[np.float64]
 
@@ -92,8 +92,8 @@ def true() -> tuple[Floats, Floats]:
 def runs() -> list[tuple[Cycles, Cycles]]:
     """The light and the heavy part of each seed."""
     arm, model, scenario = lively()
-    light = simulate(arm, model, scenario, duration_s=CHANGE_S, seeds=range(SEEDS), noise=True)
-    heavy = simulate(arm, heavier(model), scenario, duration_s=AFTER_S, seeds=range(100, 100 + SEEDS), noise=True)
+    light = trajectory_of(arm, model, scenario, duration_s=CHANGE_S, seeds=range(SEEDS), noise=True)
+    heavy = trajectory_of(arm, heavier(model), scenario, duration_s=AFTER_S, seeds=range(100, 100 + SEEDS), noise=True)
     behind = round(CHANGE_S / arm.period_s) + LOST
     return [(light.cycles(k), shifted(heavy.cycles(k), behind)) for k in range(SEEDS)]
 
@@ -162,7 +162,7 @@ def test_the_watch_keeps_the_plainest_look(stories: list[Story]) -> None:
 def test_no_alarm_while_nothing_changes() -> None:
     """20 seeds of five minutes, looked at every 15 s: 400 looks, most of which compare 12 parameters."""
     arm, model, scenario = lively()
-    runs = simulate(arm, model, scenario, duration_s=300.0, seeds=range(20), noise=True)
+    runs = trajectory_of(arm, model, scenario, duration_s=300.0, seeds=range(20), noise=True)
     compared, last = 0, []
     for k in range(20):
         flight, run = Flight(arm), runs.cycles(k)
@@ -185,7 +185,7 @@ def test_the_deviation_in_closed_form(seed: int) -> None:
     """Two flights that know one part each, and the inverses of their normal matrices by numpy."""
     arm, model, scenario = lively()
     arm = replace(arm, impulse_arc_s=0.0, compensate_every=0)
-    run = simulate(arm, model, scenario, duration_s=170.0, seeds=[seed], noise=True).cycles(0)
+    run = trajectory_of(arm, model, scenario, duration_s=170.0, seeds=[seed], noise=True).cycles(0)
     old, new = part(run, 0, 2400), shifted(part(run, 2400, 3400), LOST)
     both, before, newest = Flight(arm), Flight(arm), Flight(arm)
     both.cycles(joined(old, new))
@@ -250,7 +250,7 @@ def test_what_is_known_of_the_joints_survives_the_restart(stories: list[Story], 
 
 def test_a_restart_keeps_the_joints_sums_and_nothing_else() -> None:
     arm, model, scenario = lively()
-    run = simulate(arm, model, scenario, duration_s=45.0, seeds=[0], noise=True).cycles(0)
+    run = trajectory_of(arm, model, scenario, duration_s=45.0, seeds=[0], noise=True).cycles(0)
     flight = Flight(arm)
     flight.cycles(run)
     closed = flight.native.motor_sums.count
@@ -334,7 +334,7 @@ def test_what_was_changed_or_is_not_there_is_not_compared() -> None:
     """The refusals are those of zygos_solve()."""
     arm, model, scenario = lively()
     flight = Flight(arm)
-    flight.cycles(simulate(arm, model, scenario, duration_s=10.0, seeds=[0], noise=True).cycles(0))
+    flight.cycles(trajectory_of(arm, model, scenario, duration_s=10.0, seeds=[0], noise=True).cycles(0))
     work, known, deviation = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("double[]", 256)
     for given in ((ffi.NULL, known, deviation), (work, ffi.NULL, deviation), (work, known, ffi.NULL)):
         assert lib.zygos_detect_change(*given) == lib.ZYGOS_E_NULL

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from runs_support import trajectory_of
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
@@ -18,7 +19,6 @@ from zygos.model.model import load_model
 from zygos.native import snapshot
 from zygos.native.flight import Flight, ffi, lib
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 WORK = ffi.new("zygos_work_t *")
@@ -29,7 +29,7 @@ def run() -> tuple[Arm, Cycles]:
     """Rows of every kind, in arcs of which several are closed and one is open."""
     arm = replace(load_arm(EXAMPLE / "arm.toml"), arc_max_s=20.0, momentum_max_s=10.0)
     scenario = replace(load_scenario(EXAMPLE / "scenario.toml"), duration_s=40.0)
-    return arm, simulate(arm, load_model(EXAMPLE / "model.toml"), scenario, seeds=[0], noise=True).cycles(0)
+    return arm, trajectory_of(arm, load_model(EXAMPLE / "model.toml"), scenario, seeds=[0], noise=True).cycles(0)
 
 
 @cache

@@ -19,6 +19,7 @@ from flight_support import CHOSEN, balanced, bytes_of, chosen, sines, waits
 from numpy.typing import NDArray
 from plant_support import LIVELY, lively, random_arm
 from reference_support import make_arm
+from runs_support import trajectory_of
 from scipy import stats
 
 from conftest import ROOT
@@ -32,7 +33,7 @@ from zygos.native import flight
 from zygos.native.flight import REASONS, Flight, config_of, encode, ffi, lib
 from zygos.reference.compare import Room, check_chain, rounding, tables
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 
 Floats = NDArray[np.float64]
 
@@ -249,7 +250,7 @@ def balance_left_over(period: float, one: Effect, value: float) -> tuple[Floats,
     """row . true parameters - W, without the effect, and the effect's column, both less their means (one arc)."""
     arm, model, scenario = lively()
     plant = replace(model, effects=(replace(one, value=value),))
-    trajectory = simulate(arm, plant, scenario, noise=False, period_s=period, duration_s=12.0)
+    trajectory = trajectory_of(arm, plant, scenario, noise=False, period_s=period, duration_s=12.0)
     trace = Flight(silent(trajectory.arm), [one]).cycles(trajectory.cycles(), trace=True)
     assert trace is not None
     rows = trace.row[trace.instant]
@@ -334,7 +335,7 @@ def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(flight, "_FOLDER", tmp_path)
     for name, value in zip(("ffi", "lib"), flight._load(), strict=True):
         monkeypatch.setattr(flight, name, value)
-    trajectory = simulate(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0)
+    trajectory = trajectory_of(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0)
     rooms = same(silent(trajectory.arm), trajectory.cycles(), effects)
     assert (rooms[-1].name, rooms[-1].compared) == ("solution", len(arm.parameter_names) + len(effects))
 
@@ -383,7 +384,7 @@ def test_friction_at_the_elbow_is_found() -> None:
     arm, model, scenario = lively()
     friction = effect("motor_coulomb", "elbow", 0.8)
     plant = replace(model, effects=(friction,))
-    trajectory = simulate(arm, plant, scenario, seeds=range(3), noise=True)
+    trajectory = trajectory_of(arm, plant, scenario, seeds=range(3), noise=True)
     for k in range(3):
         blind = estimate_of(arm, trajectory.cycles(k), ())
         assert (blind.validity, blind.reason) in {("doubtful", UNCLOSED), ("refused", UNCLOSED)}
@@ -405,7 +406,7 @@ def test_every_coefficient_is_found_without_noise(key: str) -> None:
         "torque_lag": 3e-3, "torque_offset": 0.3, "viscous_asymmetry": 0.5,
     }[key]  # fmt: skip
     plant = replace(model, effects=(effect(key, "elbow", value),))
-    trajectory = simulate(arm, plant, scenario, noise=False, period_s=0.01, duration_s=25.0)
+    trajectory = trajectory_of(arm, plant, scenario, noise=False, period_s=0.01, duration_s=25.0)
     run = Flight(silent(trajectory.arm), [effect(key, "elbow")])
     run.cycles(trajectory.cycles())
     found = run.estimate()
@@ -422,7 +423,7 @@ def test_a_plant_that_creates_energy_is_not_physical(key: str, value: float) -> 
     """A spring may soften all the same."""
     arm, model, scenario = lively()
     plant = replace(model, effects=(effect(key, "elbow", value),))
-    trajectory = simulate(arm, plant, scenario, noise=False, period_s=0.01, duration_s=20.0)
+    trajectory = trajectory_of(arm, plant, scenario, noise=False, period_s=0.01, duration_s=20.0)
     run = Flight(silent(trajectory.arm), [effect(key, "elbow")])
     run.cycles(trajectory.cycles())
     found = run.estimate()
@@ -478,7 +479,7 @@ def test_c_equals_numpy_with_the_offsets_that_an_arm_file_asks_for(tmp_path: Pat
 def modern() -> Trajectory:
     """The motion of examples/lively with sensors of today, 20 bits and 200 Hz."""
     _, model, scenario = lively()
-    return simulate(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
+    return trajectory_of(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 from dynamics_support import Oracle, random_state
 from gap_support import effect, example
 from plant_support import Floats, lively, random_arm
+from runs_support import trajectory_of
 
 from zygos.arm import Arm
 from zygos.balances.state import State
@@ -19,7 +20,6 @@ from zygos.dynamics.replay import replay
 from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect
 from zygos.errors import ZygosError
 from zygos.model.model import Model, Quantity
-from zygos.simulation.plant import simulate
 
 SIZE = {
     "motor_coulomb": 0.3,
@@ -261,7 +261,7 @@ def test_a_rigid_joint_is_the_limit_of_a_stiff_one() -> None:
 
     def run(stiffness: float) -> Floats:
         whole = stiffened(model, stiffness, (0, 1))
-        moved = simulate(arm, whole, scenario, noise=False, duration_s=0.5, rtol=1e-10)
+        moved = trajectory_of(arm, whole, scenario, noise=False, duration_s=0.5, rtol=1e-10)
         return np.asarray(moved.q[0], dtype=np.float64)
 
     limit = run(np.inf)
@@ -308,7 +308,7 @@ def test_torque_lag_is_a_later_torque() -> None:
     arm, model, scenario = example()
     late, parts = (2, 1), 5
     effects = tuple(effect(arm, "torque_lag", i, 1e-3 * ms) for i, ms in enumerate(late))
-    run = simulate(arm, replace(model, effects=effects), scenario, noise=False, duration_s=0.6)
+    run = trajectory_of(arm, replace(model, effects=effects), scenario, noise=False, duration_s=0.6)
     assert run.dynamics.torque_lag is not None
 
     reported = np.concatenate([np.zeros((1, 2)), run.tau[0]])
@@ -326,7 +326,7 @@ def test_torque_lag_is_a_later_torque() -> None:
         print(f"{error:.1e}")
         assert error < 1e-8
 
-    unlagged = simulate(arm, model, scenario, noise=False, duration_s=0.6)
+    unlagged = trajectory_of(arm, model, scenario, noise=False, duration_s=0.6)
     assert np.abs(unlagged.q - run.q).max() > 1e-4 * np.abs(run.q - run.q[:, :1]).max()
 
 

@@ -29,6 +29,7 @@ from flight_support import (
 )  # fmt: skip
 from numpy.typing import NDArray
 from reference_support import make_arm
+from runs_support import trajectory_of
 from scipy.spatial.transform import Rotation
 
 from conftest import EXAMPLE
@@ -37,7 +38,6 @@ from zygos.errors import ZygosError
 from zygos.model.model import load_model
 from zygos.native.flight import REASONS, Flight, config_of, cycles_to_native, encode, ffi, lib
 from zygos.runs.cycles import BREAK_BEFORE, INVALID, Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
@@ -754,7 +754,7 @@ def sums_of_every_kind() -> tuple[Arm, Cycles]:
     """The arm of examples/lively with rows of every kind, in arcs of which several are closed and one is open."""
     arm = replace(load_arm(EXAMPLE / "arm.toml"), arc_max_s=20.0, momentum_max_s=10.0)
     scenario = load_scenario(EXAMPLE / "scenario.toml")
-    run = simulate(arm, load_model(EXAMPLE / "model.toml"), scenario, seeds=[0], noise=True)
+    run = trajectory_of(arm, load_model(EXAMPLE / "model.toml"), scenario, seeds=[0], noise=True)
     return arm, part(run.cycles(0), 0, 1106)
 
 

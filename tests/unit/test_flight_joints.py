@@ -17,6 +17,7 @@ from arm_support import arm_of_known_lengths, random_arm
 from flight_support import part, symmetric
 from motion_support import FLEXIBLE, laboratory, random_ground, sines
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from zygos.arm import Arm, load_arm
 from zygos.balances.joint import joint_rows
@@ -28,7 +29,6 @@ from zygos.reference.compare import check_frames
 from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
 from zygos.runs.samples import calibrate
 from zygos.runs.smoother import smooth
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
@@ -96,7 +96,7 @@ def test_rows_balance_for_springs_that_moved(example: str, period_s: float) -> N
     folder = EXAMPLES / example
     arm, model = load_arm(folder / "arm.toml").at_period(period_s), load_model(folder / "model.toml")
     arm = replace(arm, joint_increment_s=0.2)
-    run = simulate(
+    run = trajectory_of(
         arm, model, load_scenario(folder / "scenario.toml"), noise=False, duration_s=6.0, rtol=1e-10, atol=1e-12
     )
     z, w, accepted = rows_of(arm, run.cycles())
@@ -587,7 +587,7 @@ def test_an_estimate_with_joint_rows_beside_energy_rows(example: str) -> None:
     """Their weight is numpy's, and they take away neither validity nor accuracy."""
     folder = EXAMPLES / example
     arm, model = replace(load_arm(folder / "arm.toml"), joint_increment_s=0.4), load_model(folder / "model.toml")
-    run = simulate(arm, model, load_scenario(folder / "scenario.toml"), noise=True, duration_s=40.0)
+    run = trajectory_of(arm, model, load_scenario(folder / "scenario.toml"), noise=True, duration_s=40.0)
     flight = Flight(arm)
     rooms = check_frames(arm, encode(arm, run.cycles()), flight)
     assert [room.name for room in rooms if not room.equal] == []

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gap_support import effect, example
 from ground_gap_support import Array, axis, measured, sign, size
+from runs_support import trajectory_of
 
 from zygos.arm import save_arm
 from zygos.can.run import Run
@@ -23,7 +24,6 @@ from zygos.gap.runs import plan_next
 from zygos.model.model import save_model
 from zygos.native.flight import encode
 from zygos.plan.limits import Limits, limits_of
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Controller, Motion, Scenario, Sine, load_scenario, save_scenario
 
 MEAN, HALF = 0.09, 0.03
@@ -59,7 +59,7 @@ def test_the_planned_motion_tells_an_offset_from_a_friction_that_differs_between
             Effect(CATALOGUE["motor_coulomb"], joint, MEAN * size()),
             Effect(CATALOGUE["differs"], joint, HALF * size()),
         )
-        moved = simulate(arm, replace(model, effects=hidden), scenario, rtol=1e-5, atol=1e-8)
+        moved = trajectory_of(arm, replace(model, effects=hidden), scenario, rtol=1e-5, atol=1e-8)
     # within what the measured runs reached
     assert moved.q.min() > reached.min() - 0.01
     assert moved.q.max() < reached.max() + 0.01
@@ -98,7 +98,7 @@ def _flown(scenario: Scenario, seed: int) -> MeasuredRun:
     """A run of examples/gap with a faint Coulomb friction at the elbow."""
     arm, model, _ = example()
     plant = replace(model, effects=(*model.effects, effect(arm, "motor_coulomb", 1, 0.002)))
-    run = simulate(arm, plant, scenario, seeds=[seed], rtol=1e-7, atol=1e-9)
+    run = trajectory_of(arm, plant, scenario, seeds=[seed], rtol=1e-7, atol=1e-9)
     return read_measured_run(arm, Path(f"{scenario.name}-{seed}.blf"), encode(arm, run.cycles()))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gap_support import example
+from runs_support import trajectory_of
 
 from zygos.arm import load_arm
 from zygos.gap.answer import change_json
@@ -17,7 +18,6 @@ from zygos.gap.record import read_measured_run
 from zygos.gap.verdicts import Changed
 from zygos.model.model import Model, load_model
 from zygos.native.flight import encode
-from zygos.simulation.plant import simulate
 
 SPATIAL = Path(__file__).parents[2] / "examples" / "spatial"
 
@@ -93,7 +93,7 @@ def test_what_the_arm_takes_up_between_two_runs_is_reported_in_kg() -> None:
     for seed, name in enumerate("abc"):
         arm, model, scenario = example(name)
         plant = carrying(model, 100.0, (2.5, 0.0, 0.0)) if seed else model
-        run = simulate(arm, plant, scenario, seeds=[seed], duration_s=20.0, rtol=1e-9, atol=1e-11)
+        run = trajectory_of(arm, plant, scenario, seeds=[seed], duration_s=20.0, rtol=1e-9, atol=1e-11)
         records.append(read_measured_run(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
     found = explain(arm, model, records[:2], records[2:])
     assert isinstance(found.verdict, Changed), found.sentence

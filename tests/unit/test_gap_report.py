@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from runs_support import trajectory_of
 
 from zygos.arm import load_arm
 from zygos.effects import CATALOGUE, Effect
@@ -40,7 +41,6 @@ from zygos.model.model import load_model
 from zygos.native.flight import encode
 from zygos.report.figures import figure
 from zygos.report.provenance import Provenance
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 GAP = Path(__file__).parents[2] / "examples" / "gap"
@@ -61,7 +61,7 @@ def friction() -> Explanation:
     runs = []
     for k, name in enumerate("abc"):
         scenario = load_scenario(GAP / f"{name}.toml")
-        run = simulate(arm, plant, scenario, seeds=[k], noise=True, duration_s=5.0, rtol=1e-9, atol=1e-11)
+        run = trajectory_of(arm, plant, scenario, seeds=[k], noise=True, duration_s=5.0, rtol=1e-9, atol=1e-11)
         runs.append(read_measured_run(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
     found = explain(arm, model, runs[:2], runs[2:])
     assert found.answer == "named"

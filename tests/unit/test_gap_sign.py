@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from runs_support import trajectory_of
 
 from zygos.arm import load_arm
 from zygos.dynamics.equations import from_model
@@ -21,7 +22,6 @@ from zygos.gap.study import again, begin, read_hypothesis
 from zygos.gap.verdicts import Lacking, PartNamed, Unexplained, Verdict
 from zygos.model.model import load_model
 from zygos.native.flight import encode
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 GAP = Path(__file__).parents[2] / "examples" / "gap"
@@ -48,7 +48,7 @@ def runs() -> tuple[MeasuredRun, ...]:
     """Coulomb friction at the elbow, in 5 s of each of two runs."""
     plant = replace(MODEL, effects=(*MODEL.effects, Effect(CATALOGUE["motor_coulomb"], "elbow", 0.05)))
     made = [
-        simulate(ARM, plant, load_scenario(GAP / f"{name}.toml"), seeds=[k], noise=True, duration_s=5.0,
+        trajectory_of(ARM, plant, load_scenario(GAP / f"{name}.toml"), seeds=[k], noise=True, duration_s=5.0,
                  rtol=1e-9, atol=1e-11)
         for k, name in enumerate("ab")
     ]  # fmt: skip

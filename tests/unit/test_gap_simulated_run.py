@@ -8,6 +8,7 @@ from functools import cache
 import pytest
 from gap_support import example
 from ground_gap_support import Array, axis, measured, nothing, sign, simulated, size
+from runs_support import trajectory_of
 
 from zygos.balances.state import State
 from zygos.can.run import Run
@@ -19,7 +20,6 @@ from zygos.gap.answer import simulation_json
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.runs import explain_runs
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 
 
 def coulomb(q: Array, qd: Array) -> Array:
@@ -66,7 +66,7 @@ def test_the_simulator_of_a_floating_arm() -> None:
     for seed, name in enumerate("abc"):
         arm, model, scenario = example(name)
         true = replace(model, effects=(*model.effects, plant))
-        logs.append(simulate(arm, true, scenario, seeds=[seed], duration_s=20.0, rtol=1e-8, atol=1e-10))
+        logs.append(trajectory_of(arm, true, scenario, seeds=[seed], duration_s=20.0, rtol=1e-8, atol=1e-10))
     seen, a = [Run.of_cycles(arm, log.cycles()) for log in logs], logs[0]
     own = seen[0].cycles
     drives = from_model(arm, replace(model, effects=()))

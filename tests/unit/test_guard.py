@@ -10,6 +10,7 @@ import pytest
 from flight_support import bytes_of, joined, part, symmetric
 from numpy.typing import NDArray
 from rows_support import effect
+from runs_support import trajectory_of
 from scipy import stats
 
 from conftest import EXAMPLE
@@ -22,7 +23,7 @@ from zygos.native.flight import REASONS, Estimate, Flight, encode, ffi, lib
 from zygos.reference import chain
 from zygos.reference.compare import check_chain, check_cycles, check_frames
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import Trajectory, record, simulate
+from zygos.simulation.plant import Trajectory, record
 from zygos.simulation.scenario import Ramp, Scenario, load_scenario
 from zygos.simulation.sensors import draw_noise
 
@@ -55,7 +56,7 @@ def scenario_of(lively: bool) -> Scenario:
 
 def moved(arm: Arm, lively: bool, model: Model | None = None) -> Trajectory:
     model = model or load_model(EXAMPLE / "model.toml")
-    return simulate(arm, model, scenario_of(lively), duration_s=ARC_S * ARCS, noise=False, rtol=1e-9, atol=1e-11)
+    return trajectory_of(arm, model, scenario_of(lively), duration_s=ARC_S * ARCS, noise=False, rtol=1e-9, atol=1e-11)
 
 
 def seen(motion: Trajectory, seed: int) -> Cycles:
@@ -362,7 +363,7 @@ def test_c_equals_numpy_with_momentum_rows_of_an_arm_that_lacks_a_parameter(whic
     arm = replace(arm, joints=tuple(joints), momentum_max_s=ARC_S, arc_max_s=ARC_S)
     assert f"Im{which + 1}" not in arm.parameter_names
     plant = replace(model, joints=tuple(drives))
-    cycles = simulate(arm, plant, scenario_of(True), noise=True, duration_s=ARC_S * 5).cycles()
+    cycles = trajectory_of(arm, plant, scenario_of(True), noise=True, duration_s=ARC_S * 5).cycles()
     flight = Flight(arm)
     rooms = check_cycles(arm, cycles, flight)  # a frame has no room for the torques before such a gear
     assert [room.name for room in rooms if not room.equal] == []

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from flight_support import part
 from motion_support import random_ground
+from runs_support import trajectory_of
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
 from zygos.model.model import load_model
 from zygos.native.flight import REASONS, Flight, config_of, ffi, lib
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 KINDS = ("planar", "spatial", "ground")
@@ -33,7 +33,7 @@ def run(kind: str) -> tuple[Arm, Cycles]:
     arm = load_arm(folder / "arm.toml")
     arm = replace(arm, arc_max_s=6.0, impulse_arc_s=2.0, momentum_max_s=4.0)
     scenario = replace(load_scenario(folder / "scenario.toml"), duration_s=50.0 if kind == "planar" else 20.0)
-    return arm, simulate(arm, load_model(folder / "model.toml"), scenario, seeds=[0], noise=True).cycles(0)
+    return arm, trajectory_of(arm, load_model(folder / "model.toml"), scenario, seeds=[0], noise=True).cycles(0)
 
 
 @cache

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from conftest import ROOT
 
@@ -34,7 +35,6 @@ from oracles.plant import TORQUE_STEP, MujocoPlant
 from oracles.simulate import run, write
 from zygos.arm import Arm, load_arm
 from zygos.model.model import Model, load_model
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario, load_scenario
 
 Floats = NDArray[np.float64]
@@ -91,7 +91,7 @@ def test_moves_as_the_plant_of_the_package(example: tuple[Arm, Model, Scenario])
     arm, model, scenario = example
     scenario = replace(scenario, angular_momentum_nms=5.0)
     ours = MujocoPlant(arm, model).run(scenario, noise=False, duration_s=2.0, step_s=1e-3)
-    theirs = simulate(arm, model, scenario, noise=False, duration_s=2.0)
+    theirs = trajectory_of(arm, model, scenario, noise=False, duration_s=2.0)
     np.testing.assert_allclose(ours.q, theirs.q[0], atol=1e-11)
     np.testing.assert_allclose(ours.theta, theirs.theta[0], atol=1e-11)
     np.testing.assert_allclose(ours.omega0, theirs.omega0[0], atol=1e-11)
@@ -108,7 +108,7 @@ def test_moves_alike_about_another_axis(example: tuple[Arm, Model, Scenario]) ->
         bodies[i] = replace(bodies[i], joint_xyz=(0.0, 5.0, 1.0 - i))
     model = replace(model, bodies=tuple(bodies))
     ours = MujocoPlant(arm, model).run(scenario, noise=False, duration_s=2.0, step_s=1e-3)
-    theirs = simulate(arm, model, scenario, noise=False, duration_s=2.0)
+    theirs = trajectory_of(arm, model, scenario, noise=False, duration_s=2.0)
     np.testing.assert_allclose(ours.q, theirs.q[0], atol=1e-10)
     np.testing.assert_allclose(ours.omega0, theirs.omega0[0], atol=1e-10)
     np.testing.assert_allclose(ours.cycles.omega, theirs.cycles(0).omega, atol=1e-10)

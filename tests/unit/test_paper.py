@@ -10,29 +10,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_support import run
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 from scipy.integrate import solve_ivp
 
 from conftest import PAPER
 from zygos.arm import Arm, load_arm
-from zygos.cli import main
 from zygos.dynamics.equations import equations
 from zygos.errors import ZygosError
 from zygos.model.model import load_model
 from zygos.paper import printed, readings, response
 from zygos.paper.methods import Record, de, eb, exact_record, noisy_states
 from zygos.paper.tables import flight_estimates, load_example, noisy_record
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
 SEEDS = 16
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @cache
@@ -45,8 +40,8 @@ def hardware() -> tuple[Arm, Floats]:
 def moved(noise: bool) -> Trajectory:
     arm, model, scenario = hardware()[0], load_model(PAPER / "model.toml"), load_scenario(PAPER / "scenario.toml")
     if noise:
-        return simulate(arm, model, scenario, seeds=range(SEEDS), noise=True, rtol=1e-9, atol=1e-11)
-    return simulate(arm, model, scenario, seeds=[0], noise=False)
+        return trajectory_of(arm, model, scenario, seeds=range(SEEDS), noise=True, rtol=1e-9, atol=1e-11)
+    return trajectory_of(arm, model, scenario, seeds=[0], noise=False)
 
 
 def errors(value: Floats) -> dict[str, Floats]:

@@ -10,6 +10,7 @@ import pytest
 from arm_support import random_arm
 from laboratory_support import laboratory_arm
 from plant_support import lively
+from runs_support import trajectory_of
 
 from zygos.arm import Arm, Encoder, Smoother
 from zygos.can.run import Run
@@ -26,7 +27,7 @@ from zygos.plan.rows import Grounded
 from zygos.plan.search import _Goal
 from zygos.plan.series import Space
 from zygos.refinement.bound import bound
-from zygos.simulation.plant import needed_torque, simulate
+from zygos.simulation.plant import needed_torque
 from zygos.simulation.scenario import Controller, Scenario
 
 HERE = Path("arm.toml"), Path("model.toml")
@@ -138,7 +139,7 @@ def test_a_planned_motion_tells_more_than_a_random_one_and_its_run_keeps_the_lim
             planner.expected(replace(scenario, name="r", manoeuvre=dict(zip(names, motion.motions(), strict=True))))
         )
     assert expectation.measure < min(other.measure for other in others) - 0.2
-    run = simulate(arm, model, scenario, noise=False)
+    run = trajectory_of(arm, model, scenario, noise=False)
     # the drive holds its torque, and therefore differs a little from the continuous one
     wider = replace(planner.limits, torque=1.02 * planner.limits.torque, rate=planner.limits.rate + 2e-3)
     assert wider.violation(arm, run.q[0], run.qd[0], run.tau[0]) is None
@@ -155,7 +156,7 @@ def test_expected_sigmas_are_the_scatter_of_estimates(
     arm, model, _, scenario, expectation = planned
     arm = replace(arm, torque_law=law)
     runs = 24
-    trajectory = simulate(arm, model, scenario, seeds=range(runs), rtol=1e-8, atol=1e-10)
+    trajectory = trajectory_of(arm, model, scenario, seeds=range(runs), rtol=1e-8, atol=1e-10)
     values = np.array(
         [
             estimate_ground([Run.of_cycles(arm, trajectory.cycles(k))], effects=model.effects).solution.value
@@ -176,7 +177,7 @@ def test_the_feedforward_torque_follows_a_motion_with_both_engines(
     arm, model, _, scenario, _ = planned
     for law in ("applied_from_sync", "sampled"):
         of_law = replace(arm, torque_law=law)
-        runs = [simulate(of_law, model, scenario, engine=name, duration_s=1.0) for name in ("zygos", "pinocchio")]
+        runs = [trajectory_of(of_law, model, scenario, engine=name, duration_s=1.0) for name in ("zygos", "pinocchio")]
         np.testing.assert_allclose(runs[0].q, runs[1].q, atol=1e-9)
         assert np.abs(runs[0].q[0] - runs[0].desired).max() < 5e-3
 
@@ -194,7 +195,7 @@ def test_what_cannot_be_planned_is_refused() -> None:
     with pytest.raises(ZygosError, match=r"floats or has springs.*remedy: give a scenario"):
         Planner(floating, body, limits_of(floating, None, None, None), np.zeros(2)).plan("p", Motion(), *HERE, None)
     with pytest.raises(ZygosError, match="base is fixed and all joints are rigid; remedy: leave feedforward"):
-        simulate(floating, body, replace(scenario, controller=Controller(feedforward=True)), duration_s=0.1)
+        trajectory_of(floating, body, replace(scenario, controller=Controller(feedforward=True)), duration_s=0.1)
 
 
 def test_floating_motions_are_ranked_by_what_the_estimator_says() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from arm_support import random_arm
 from refine_support import Case, plant, runs, score, zeros
+from runs_support import trajectory_of
 
 from conftest import ROOT
 from zygos.arm import save_arm
@@ -30,7 +31,6 @@ from zygos.refinement.motion import FlexibleMotion
 from zygos.refinement.record import LONGEST_GAP, record_of, start_of
 from zygos.refinement.refine import Refinement, check_supported, refine_runs
 from zygos.runs.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 PAPER = ROOT / "examples" / "paper" / "scenario.toml"
@@ -225,7 +225,7 @@ def test_torques_nobody_reported_lie_between_those_around_them() -> None:
 
 def test_the_state_at_the_start_of_a_piece_is_within_its_deviations() -> None:
     scenario = load_scenario(PAPER)
-    run = simulate(SHORT.arm, plant("paper"), scenario, seeds=[0], duration_s=10.0)
+    run = trajectory_of(SHORT.arm, plant("paper"), scenario, seeds=[0], duration_s=10.0)
     whole = Run.of_cycles(SHORT.arm, run.cycles())
     for first in range(0, 150, 10):
         keep = np.arange(200) >= first

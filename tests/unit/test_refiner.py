@@ -10,6 +10,7 @@ import pytest
 from arm_support import random_arm
 from numpy.typing import NDArray
 from plant_support import lively
+from runs_support import trajectory_of
 from scipy.linalg import block_diag
 
 from zygos.arm import TORQUE_STEP, Arm
@@ -20,7 +21,6 @@ from zygos.native.refiner import Refiner, Settings
 from zygos.refinement.bound import bound
 from zygos.refinement.filter import FilterNoise, NumpyFilter
 from zygos.refinement.motion import FlexibleMotion
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Controller, Motion, Scenario, Sine
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,7 @@ RELATIVE = 0.005
 def readings(arm: Arm, model: Model, scenario: Scenario, seed: int = 0) -> tuple[Floats, ...]:
     """Angles (n, N) twice, torques (n, N) with noise, and rates (n, 3) of the base in its axes, of a simulated run."""
     noisy = replace(arm, joints=tuple(replace(joint, torque_relative_sigma=RELATIVE) for joint in arm.joints))
-    run = simulate(noisy, model, scenario, seeds=[seed], rtol=1e-9, atol=1e-11).cycles()
+    run = trajectory_of(noisy, model, scenario, seeds=[seed], rtol=1e-9, atol=1e-11).cycles()
     return run.q, run.theta, run.tau, run.omega @ arm.mount.T
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gap_support import Floats, effect, example, moved
+from runs_support import trajectory_of
 
 from zygos.arm import Arm
 from zygos.balances.state import State
@@ -16,7 +17,7 @@ from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import STEP_OF_MODE, exact_readings, replay, substeps
 from zygos.effects import Effect
 from zygos.model.model import Model, Quantity
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import Trajectory
 
 DURATION_S = 4.0
 CYCLES = 151
@@ -84,7 +85,9 @@ def test_stretches_stay_on_the_simulators_run(effects: object, tolerance: float)
 def test_rigid_joints_stay_on_the_simulators_run(rigid: tuple[int, ...]) -> None:
     arm, model, scenario = example()
     joints = tuple(replace(j, stiffness=Quantity(np.inf)) if i in rigid else j for i, j in enumerate(model.joints))
-    run = simulate(arm, replace(model, joints=joints), scenario, noise=False, duration_s=3.5, rtol=1e-10, atol=1e-12)
+    run = trajectory_of(
+        arm, replace(model, joints=joints), scenario, noise=False, duration_s=3.5, rtol=1e-10, atol=1e-12
+    )
     error = away(run, CYCLES)
     print(f"{error:.1e}")
     assert error <= 1e-9
@@ -112,7 +115,7 @@ def test_converges_with_order_4(effects: object) -> None:
     # a lag of half a period cuts it into halves whose steps double alike
     listed = tuple(replace(one, value=0.025) if "lag" in one.kind.key else one for one in effects(arm))
     slow = replace(scenario, controller=replace(scenario.controller, gain=0.2))
-    run = simulate(arm, replace(model, effects=listed), slow, noise=False, duration_s=26.0, rtol=1e-12, atol=1e-14)
+    run = trajectory_of(arm, replace(model, effects=listed), slow, noise=False, duration_s=26.0, rtol=1e-12, atol=1e-14)
     errors = [away(run, 20, factor) for factor in (2, 4, 8)]
     print(" ".join(f"{x:.2e}" for x in errors))
     assert errors[2] > 1e-11
@@ -188,7 +191,7 @@ def test_late_latches_are_read_as_the_simulator_reads_them(late: tuple[int, int,
         for j in arm.joints
     )
     arm = replace(arm, joints=joints, imu=replace(arm.imu, latch_us=late[2]))
-    run = simulate(arm, model, scenario, noise=False, duration_s=1.0, rtol=1e-10, atol=1e-12)
+    run = trajectory_of(arm, model, scenario, noise=False, duration_s=1.0, rtol=1e-10, atol=1e-12)
     q, theta, omega0 = exact_readings(run.dynamics, arm, packed(run)[None], run.tau)
     # of what a sensor reads; each is far below its noise (1.7e-6 rad, 1e-5 rad/s)
     for got, want, tolerance in (

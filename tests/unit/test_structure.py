@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_support import random_arm
+from cli_support import run
 from physical_support import estimate_of
 from structure_support import DOWN, PIN_ORDER, arm_of, bodies_of, frames_of, rank, torque_columns
 
@@ -25,7 +26,6 @@ from zygos.balances.energy import energy_columns, full_energy_columns
 from zygos.balances.joint import joint_columns
 from zygos.balances.momentum import momentum_columns
 from zygos.balances.state import State
-from zygos.cli import main
 from zygos.dynamics.compiled import Multibody
 from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
@@ -463,12 +463,6 @@ def test_sizes_of_grouped_parameters_are_not_zero() -> None:
 
 
 # ------------------------------------------------------------------------------------------ files and command
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 @pytest.mark.parametrize("torque_at", ["rotor", "joint"])

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 from telemetry_support import edited
 
 from conftest import EXAMPLE, ROOT
@@ -20,7 +21,6 @@ from zygos.model.model import Model
 from zygos.native.flight import Flight
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.runs.tables import read_cycles, write_cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario, load_scenario
 from zygos.telemetry.grid import (
     Track,
@@ -476,7 +476,7 @@ def fine(scenario: Scenario, model: Model, arm: Arm) -> tuple[Arm, Cycles]:
             for joint in arm.joints
         ),
     )
-    run = simulate(
+    run = trajectory_of(
         sharp, model, scenario, seeds=[0], noise=True, period_s=0.005, duration_s=40.0, rtol=1e-9, atol=1e-11
     )
     return sharp, run.cycles()
@@ -490,7 +490,9 @@ def quick() -> tuple[Arm, Cycles]:
 
     scenario, arm = load_scenario(folder / "b.toml"), load_arm(folder / "arm.toml")
     plant = load_model(scenario.plant)
-    return arm, simulate(arm, plant, scenario, seeds=[0], noise=True, duration_s=20.0, rtol=1e-9, atol=1e-11).cycles()
+    return arm, trajectory_of(
+        arm, plant, scenario, seeds=[0], noise=True, duration_s=20.0, rtol=1e-9, atol=1e-11
+    ).cycles()
 
 
 def thinned(arm: Arm, cycles: Cycles, step: int) -> tuple[Arm, Cycles]:

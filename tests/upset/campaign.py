@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 
 from bench.configurations import Configuration, build_of, write_run
 from conftest import ROOT, house_flags
 from zygos.arm import load_arm
 from zygos.model.model import load_model
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 FOLDER = Path("out/upset")
@@ -58,7 +58,7 @@ def write(one: Campaign, folder: Path) -> int:
     place = ROOT / "examples" / one.example
     arm, model = load_arm(place / "arm.toml"), load_model(place / "model.toml")
     arm = replace(arm, arc_max_s=ARC_CYCLES * arm.period_s)
-    cycles = simulate(arm, model, load_scenario(place / "scenario.toml"), duration_s=one.duration_s).cycles()
+    cycles = trajectory_of(arm, model, load_scenario(place / "scenario.toml"), duration_s=one.duration_s).cycles()
     write_run(Configuration(one.example, arm, one.capacities), cycles, folder / "run.bin")
     return len(cycles)
 

@@ -158,7 +158,7 @@ def run(tests: Sequence[str], mutants: Sequence[Mutant], numbers: Sequence[int],
         options = [
             *"-p verify.selecting -p no:xdist -m".split(),
             "not slow",
-            *"-o quick_limit_s=0 -o timeout=0".split(),
+            *"-o quick_limit=0 -o timeout=0".split(),
         ]
         command = [sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml"), f"--rootdir={ROOT}"]
         command += [*options, *tests]
