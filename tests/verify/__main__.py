@@ -3,8 +3,8 @@
 Usage: python -m verify [STEP ...] [mutants=400] [seed=0] [minutes=30] [jobs=2] [counters=.]
        python -m verify limits      (makes the measured figures the limits of tests/verify/limits.json)
 
-Without a STEP all are made. Results of the others stay, and the page says of which sources they are. The status is 1 if
-a step failed, and 3 if none failed but one could not be evaluated.
+Without a STEP all are made. Results of the others stay, and the page says of which commit each one is. The status is 1
+if a step failed, and 3 if none failed but one could not be evaluated.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from typing import Any
 
 from conftest import ROOT
 from verify import analysis, coverage, fuzzing, limits, mutation
-from verify.result import FAILED, MISSING, PASSED, Result, digest
+from verify.result import FAILED, MISSING, PASSED, Result
 from zygos.errors import ZygosError
 from zygos.files.output import counted, errors_end_the_program, note, say, write_json, write_text
+from zygos.report.provenance import measured_commit
 
 PAGE, FILE = ROOT / "docs" / "verification.md", ROOT / "docs" / "verification.json"
 BEGIN, END = "<!-- make verify writes this -->\n", "<!-- to here -->"
@@ -57,21 +58,20 @@ SHOWN = 20
 """Findings of a step that the page has; all are in the JSON."""
 
 
-def block(content: Mapping[str, Any], state: str) -> str:
+def block(content: Mapping[str, Any]) -> str:
     """The table of the page, and the findings below it."""
-    rows = ["| step | evidence | verdict | figure |", "|---|---|---|---|"]
+    rows = ["| step | evidence | verdict | figure | commit |", "|---|---|---|---|---|"]
     below = []
     for step in STEPS:
-        one = content.get(step)
-        if one is None:
-            rows.append(f"| `{step}` | {ABOUT[step]} | **{MISSING}** | it was never run |")
+        result = content.get(step)
+        if result is None:
+            rows.append(f"| `{step}` | {ABOUT[step]} | **{MISSING}** | it was never run | |")
             continue
-        verdict = one["verdict"] if one["verdict"] == PASSED else f"**{one['verdict']}**"
-        other = "" if one["sources"] == state else "; **the sources have changed since**"
-        rows.append(f"| `{step}` | {ABOUT[step]} | {verdict} | {one['figure']}{other} |")
-        if one["findings"]:
-            listed = [f"- {text}" for text in one["findings"][:SHOWN]]
-            rest = len(one["findings"]) - SHOWN
+        verdict = result["verdict"] if result["verdict"] == PASSED else f"**{result['verdict']}**"
+        rows.append(f"| `{step}` | {ABOUT[step]} | {verdict} | {result['figure']} | {result['commit']} |")
+        if result["findings"]:
+            listed = [f"- {text}" for text in result["findings"][:SHOWN]]
+            rest = len(result["findings"]) - SHOWN
             listed += [f"- and {rest} more (docs/verification.json)"] if rest > 0 else []
             below.append("\n".join([f"**{step}**", "", *listed]))
     return "\n\n".join(["\n".join(rows), *below]) + "\n"
@@ -109,13 +109,13 @@ def main(*arguments: str) -> int:
     for step in steps:
         found = STEPS[step](given)
         content = json.loads(FILE.read_text()) if FILE.exists() else {}  # another step may have ended meanwhile
-        content[step] = {**asdict(found), "sources": digest()}
+        content[step] = {**asdict(found), "commit": measured_commit(ROOT)}
         say(f"{step}: {found.verdict}: {found.figure}")
         for text in found.findings:
             note(f"  {text}")
         write_json(FILE, {name: content[name] for name in STEPS if name in content})
         before, rest = PAGE.read_text().split(BEGIN)
-        write_text(PAGE, before + BEGIN + block(content, digest()) + END + rest.split(END)[1])
+        write_text(PAGE, before + BEGIN + block(content) + END + rest.split(END)[1])
     status, text = ending(content, steps)
     note(text)
     return status

@@ -7,6 +7,7 @@ import re
 import shlex
 import shutil
 import subprocess
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -61,18 +62,16 @@ def found_in(text: str) -> list[Finding]:
 
 
 def left(findings: Iterable[Finding], accepted: Path) -> list[str]:
-    """The findings that no entry of the file accepts, as text."""
-    known = entries(accepted, "check", "file", "source", "reason")
-
-    def is_accepted(one: Finding) -> bool:
-        lines = one.path.read_text().splitlines()
-        source = lines[one.line - 1] if 0 < one.line <= len(lines) else ""
-        return any(
-            entry["check"] in one.check.split(",") and entry["file"] == one.path.name and entry["source"] in source
-            for entry in known
-        )
-
-    return [str(one) for one in findings if not is_accepted(one)]
+    """The findings that are not accepted, as text: an entry accepts one finding of its check in its file."""
+    free = Counter((entry["check"], entry["file"]) for entry in entries(accepted, "check", "file", "reason"))
+    out = []
+    for finding in findings:
+        key = next(((c, finding.path.name) for c in finding.check.split(",") if free[c, finding.path.name] > 0), None)
+        if key is None:
+            out.append(str(finding))
+        else:
+            free[key] -= 1
+    return out
 
 
 def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:

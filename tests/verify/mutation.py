@@ -1,25 +1,34 @@
-"""The mutation run: a random sample of all mutants, each against the unit tests that reach it."""
+"""The mutation run: a random sample of all mutants, each against the unit tests that reach it.
+
+The survivors stand in docs/mutants.md, which this writes. Their judgements are written there by hand, and stay when the
+page is written again.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import random
+import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from conftest import ROOT
 from verify.mutants import Mutant, library
-from verify.result import BUILD, FOLDER, Result, digest, entries, judged
+from verify.result import BUILD, FOLDER, Result, digest, judged
 from verify.selecting import digest_of
 from zygos.errors import ZygosError
+from zygos.files.output import write_text
+from zygos.report.provenance import measured_commit
 
-SURVIVORS = FOLDER / "survivors.toml"
+PAGE = ROOT / "docs" / "mutants.md"
+BAR = r"\|"
+"""A vertical bar within a cell of a table of Markdown."""
 PLACE = BUILD / "mutants"
 WANTED = 0.85
 """Share of the mutants, without the equivalent ones, that the tests must kill."""
@@ -46,25 +55,55 @@ class Outcome:
         return self.verdict in ("killed", "crash", "timeout")
 
 
-def judgements(path: Path) -> dict[str, str]:
-    """Key of a mutant to its judgement. Errors: ZygosError for a judgement that is none."""
+def judgements(page: Path) -> dict[str, tuple[str, str]]:
+    """Key of a mutant to its judgement and the reason, of the rows of the page that have one.
+
+    Errors: ZygosError for a judgement that is none, or that has no reason.
+    """
     found = {}
-    for entry in entries(path, "file", "function", "original", "changed", "judgement", "reason"):
-        if entry["judgement"] not in JUDGEMENTS:
-            raise ZygosError(f"{path.name}: no judgement {entry['judgement']!r}; remedy: use {' · '.join(JUDGEMENTS)}")
-        names = [entry[key] for key in ("file", "function", "original", "changed")]
-        found[Mutant(names[0], names[1], 0, names[2], names[3], int(entry.get("again", 0))).key] = entry["judgement"]
+    for line in page.read_text().splitlines() if page.exists() else ():
+        cells = [cell.strip().replace(BAR, "|") for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+        if len(cells) == 6 and cells[0].startswith("`"):
+            file, function, original, changed = (cell.strip("`") for cell in cells[:4])
+            changed, _, again = changed.partition("` #")
+            judgement, reason = cells[4:]
+            if not judgement:
+                continue
+            if judgement not in JUDGEMENTS or not reason:
+                raise ZygosError(
+                    f"{page.name}: {file}: {function}: {original}: no judgement {judgement!r} with a reason; "
+                    f"remedy: use {' · '.join(JUDGEMENTS)}, and say why"
+                )
+            key = Mutant(file, function, 0, original, changed, int(again or 0)).key
+            found[key] = judgement, reason
     return found
 
 
-def proposal(mutant: Mutant) -> str:
-    """An entry of survivors.toml that lacks its judgement."""
-    rows = [f"{key} = {json.dumps(getattr(mutant, key))}" for key in ("file", "function", "original", "changed")]
-    rows += [f"again = {mutant.again}"] if mutant.again else []
-    return "\n".join(["[[entry]]", *rows, 'judgement = ""', 'reason = ""']) + "\n"
+def rows_of(survivors: Sequence[Mutant], known: Mapping[str, tuple[str, str]]) -> str:
+    """Rows of the page, with the judgements that are known."""
+    rows = ["| file | function | original | changed | judgement | reason |", "|---|---|---|---|---|---|"]
+    for mutant in survivors:
+        judgement, reason = known.get(mutant.key, ("", ""))
+        again = f" #{mutant.again}" if mutant.again else ""
+        cells = [f"`{mutant.file}`", f"`{mutant.function}`", f"`{mutant.original}`", f"`{mutant.changed}`{again}"]
+        rows.append(f"| {' | '.join(cell.replace('|', BAR) for cell in (*cells, judgement, reason))} |")
+    return "\n".join(rows) + "\n"
 
 
-def assessed(outcomes: Sequence[Outcome], known: dict[str, str]) -> Result:
+def text_of_page(figure: str, survivors: Sequence[Mutant], known: Mapping[str, tuple[str, str]]) -> str:
+    """docs/mutants.md."""
+    return f"""# Mutants that survive
+
+`make verify STEPS=mutation` writes this page ([verification.md](verification.md)), of commit {measured_commit(ROOT)}.
+The last two columns are written by hand. A judgement stays as long as its mutant survives: *equivalent* (no input shows
+it), *accepted* (it shows in a way that no test should hold) or *needs a test*. `#K` counts equal changes in a function.
+
+{figure}.
+
+{rows_of(survivors, known)}"""
+
+
+def assessed(outcomes: Sequence[Outcome], known: Mapping[str, str]) -> Result:
     """Score and survivors. Fails below WANTED, and where a survivor is not judged."""
     survivors = [one.mutant for one in outcomes if not one.killed]
     judged_as = Counter(known.get(mutant.key, "not judged") for mutant in survivors)
@@ -73,9 +112,7 @@ def assessed(outcomes: Sequence[Outcome], known: dict[str, str]) -> Result:
     raw = 1.0 - len(survivors) / len(outcomes) if outcomes else 1.0
     findings = [f"not judged: {mutant.key} (line {mutant.line})" for mutant in survivors if mutant.key not in known]
     if findings:
-        findings.append(
-            f"remedy: judge them in {SURVIVORS.relative_to(ROOT)}; build/verify/survivors.toml has the entries"
-        )
+        findings.append(f"remedy: judge them in {PAGE.relative_to(ROOT)} and run the step again")
     if score < WANTED:
         findings.insert(
             0, f"the tests kill {score:.1%} of the mutants, and {WANTED:.0%} are wanted; remedy: write tests"
@@ -181,10 +218,8 @@ def result(tests: Sequence[str], number: int, seed: int, jobs: int) -> Result:
     results = PLACE / f"results-{digest()}-{state}.jsonl"
     native = PLACE / "harness" / "zygos" / "_native" / "libzygos.so"
     outcomes = run(tests, mutants, sample(len(mutants), number, seed), jobs, PLACE / "run", results, native)
-    known = judgements(SURVIVORS)
-    open_ones = [one.mutant for one in outcomes if not one.killed and one.mutant.key not in known]
-    (BUILD / "survivors.toml").write_text("\n".join(map(proposal, open_ones)))
-    found = assessed(outcomes, known)
-    return Result(
-        found.verdict, f"{found.figure}; {len(mutants):,} mutants in all, seed {seed}", found.findings, found.figures
-    )
+    known = judgements(PAGE)
+    found = assessed(outcomes, {key: judgement for key, (judgement, _) in known.items()})
+    figure = f"{found.figure}; {len(mutants):,} mutants in all, seed {seed}"
+    write_text(PAGE, text_of_page(figure, [outcome.mutant for outcome in outcomes if not outcome.killed], known))
+    return Result(found.verdict, figure, found.findings, found.figures)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shlex
+import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -26,3 +27,14 @@ def provenance(command: Sequence[str], files: Sequence[tuple[str, Path]]) -> Pro
     """That of a command, its arguments without `zygos`, and of the files that it reads: role and path."""
     hashed = ((role, str(path), hashlib.sha256(local(path).read_bytes()).hexdigest()) for role, path in files)
     return Provenance(shlex.join(["zygos", *command]), version("zygos"), tuple(hashed))
+
+
+def measured_commit(checkout: Path) -> str:
+    """Commit of a checkout, with a plus where its sources or tests have changes; "no commit" outside a checkout."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=checkout, capture_output=True, text=True, check=False)
+        return done.stdout.strip()
+
+    changed = git("status", "--porcelain", "--", "harness", "c", "include", "tests")
+    return git("rev-parse", "--short=10", "HEAD") + ("+" if changed else "") or "no commit"
