@@ -12,6 +12,7 @@ FLAGS = "-std=c11 -Wall -Wextra -Wconversion -Wshadow -pedantic -Werror".split()
 ONBOARD = ROOT / "examples" / "onboard"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "integrate.md")
 MAIN = """
+void can_enable(bool enabled) { (void)enabled; }
 int main(void)
 {
     double stiffness = 0.0;
