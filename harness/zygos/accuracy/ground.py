@@ -28,6 +28,7 @@ from zygos.files.output import (
     write_text,
 )
 from zygos.files.progress import progress
+from zygos.report.provenance import measured_commit
 
 Line = dict[str, Any]
 
@@ -170,7 +171,7 @@ def ground(
     entries = summarised(found)
     write_json(json, {"draws": entries})
     if target is not None:
-        _written(target, ground_table(entries))
+        _written(target, ground_table(entries) + f"\nMeasured with commit {measured_commit()}.\n")
     heads = ("arm", "torques", "draws", "valid", "determined", "95 % holds, %", "beyond 99.9 %")
     table((*heads, "of true model's error", "of batch"), [_cells(one) for one in entries])
     for one in entries:

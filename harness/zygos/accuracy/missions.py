@@ -29,6 +29,7 @@ from zygos.files.output import (
     write_text,
 )
 from zygos.model.model import load_model
+from zygos.report.provenance import measured_commit
 from zygos.simulation.scenario import load_scenario
 
 Line = dict[str, Any]
@@ -103,7 +104,8 @@ def missions_page(entries: Sequence[Line]) -> str:
         "The state is saved and resumed once per day of the mission, or once per hour in missions of up to a day. "
         "In the tables, *bias* and *spread* are the mean and the standard deviation of the errors over the missions, "
         "and *half width* is the median half width of the 95 % interval. All three are in percent of the true value. "
-        "*Coverage* is the share of intervals that contain the true value.",
+        "*Coverage* is the share of intervals that contain the true value. "
+        f"Measured with commit {measured_commit()}.",
     ]
     for entry in entries:
         off = entry["coverage95_error"]

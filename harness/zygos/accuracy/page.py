@@ -19,6 +19,7 @@ from zygos.accuracy.summary import WILD_PERCENT, WILD_SIGMAS
 from zygos.files.output import number
 from zygos.paper.response import PARTING
 from zygos.report.page import Entry, render, series
+from zygos.report.provenance import measured_commit
 
 BAND = (0.92, 0.97)
 """Accepted range of the coverage of a 95 % interval."""
@@ -81,6 +82,7 @@ def write_accuracy_report(
         estimators=[(one.name, one.description, colour(one.name)) for one in ESTIMATORS],
         seeds=max(entry["seeds"] for entry in summary),
         draws=draws,
+        commit=measured_commit(),
         figure=None if figure is None else _figure(figure),
         wild=(WILD_SIGMAS, WILD_PERCENT),
         band=BAND,

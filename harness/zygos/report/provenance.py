@@ -29,12 +29,13 @@ def provenance(command: Sequence[str], files: Sequence[tuple[str, Path]]) -> Pro
     return Provenance(shlex.join(["zygos", *command]), version("zygos"), tuple(hashed))
 
 
-def measured_commit(checkout: Path) -> str:
-    """Commit of a checkout, with a plus where its sources or tests have changes; "no commit" outside a checkout."""
+def measured_commit(checkout: Path = Path(__file__).parent) -> str:
+    """Commit of a checkout, by default of these sources, with a plus where sources or tests have changes. "no commit"
+    outside a checkout."""
 
     def git(*words: str) -> str:
         done = subprocess.run(["git", *words], cwd=checkout, capture_output=True, text=True, check=False)
         return done.stdout.strip()
 
-    changed = git("status", "--porcelain", "--", "harness", "c", "include", "tests")
+    changed = git("status", "--porcelain", "--", *(f":/{folder}" for folder in ("harness", "c", "include", "tests")))
     return git("rev-parse", "--short=10", "HEAD") + ("+" if changed else "") or "no commit"
