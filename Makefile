@@ -100,7 +100,8 @@ $(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/
 
 # Folders of tests that need no bus of the kernel's and no emulator of a board; docs/testing.md has the tiers.
 TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak upset verify)
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+# Compiled test modules are kept: pytest rewrites every assertion of a module that it compiles.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 # What all quick tests and all tests may take, in units of a loop that tests/support/tiers.py measures on the same machine.
 QUICK_BUDGET := 5000
 WHOLE_BUDGET := 20000
@@ -122,8 +123,8 @@ coverage: build node $(VENV)/.test ## the quick tests and some slow ones, counti
 	cp -rs $(CURDIR)/harness/zygos $(COVERED)/harness
 	rm -r $(COVERED)/harness/zygos/_native
 	CFLAGS="$(CFLAGS) --coverage" $(BIN)/python tools/build_native.py $(COVERED)/harness/zygos/_native
-	PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m "not slow" -o quick_limit=0 --cov --cov-report= $(TESTS)
-	PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m slow --cov --cov-append --cov-report= $(COVERED_TESTS)
+	ZYGOS_RUNS=$(abspath $(COVERED))/runs PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m "not slow" -o quick_limit=0 --cov --cov-report= $(TESTS)
+	ZYGOS_RUNS=$(abspath $(COVERED))/runs PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m slow --cov --cov-append --cov-report= $(COVERED_TESTS)
 	$(BIN)/gcovr --json-summary $(COVERED)/c.json
 	$(BIN)/coverage report
 
@@ -202,6 +203,7 @@ format: $(VENV)/.test ## rewrite Python and C in the house style
 
 clean: ## remove everything that was built
 	rm -rf $(VENV) out build examples/onboard/build harness/zygos/_native harness/*.egg-info
+	find harness tests tools -name __pycache__ -prune -exec rm -r {} +
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(firstword $(MAKEFILE_LIST)) | sed 's/:.*## /\t/' | expand -t 10

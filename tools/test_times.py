@@ -12,13 +12,15 @@ import json
 import sys
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 BEGIN, END = "<!-- times: written by make times -->\n", "<!-- end of times -->\n"
 SLOWEST = 10
 
 
-def table(costs: dict[str, dict[str, float]]) -> str:
+def table(content: dict[str, Any]) -> str:
     """Markdown of the folders and of the slowest quick tests."""
+    costs: dict[str, dict[str, float]] = content["tests"]
     folders: dict[str, list[list[float]]] = defaultdict(lambda: [[0, 0.0], [0, 0.0]])
     for name, cost in costs.items():
         tier = folders["/".join(name.split("/")[:2])][bool(cost["slow"])]
@@ -32,6 +34,11 @@ def table(costs: dict[str, dict[str, float]]) -> str:
     quick = sorted((cost["processor_s"], name) for name, cost in costs.items() if not cost["slow"])
     lines += ["", "| the longest quick tests | processor time, s |", "|---|---|"]
     lines += [f"| `{name.replace('|', '/')}` | {spent:.1f} |" for spent, name in quick[: -SLOWEST - 1 : -1]]
+    whole, unit = content["processor_s"], content["unit_s"]
+    lines += [
+        "",
+        f"With what collects them, all take {whole:.0f} s: {whole / unit:,.0f} units of {unit:.3f} s. Commit {content['commit']}.",
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -46,8 +53,8 @@ def main(measured: Path, page: Path) -> int:
     if not found or not ended:
         print(f"{page}: the lines {BEGIN.strip()} and {END.strip()} are missing; remedy: restore them", file=sys.stderr)
         return 2
-    costs = json.loads(measured.read_text(encoding="utf-8"))
-    page.write_text(f"{before}{BEGIN}{table(costs)}{END}{after}", encoding="utf-8")
+    content = json.loads(measured.read_text(encoding="utf-8"))
+    page.write_text(f"{before}{BEGIN}{table(content)}{END}{after}", encoding="utf-8")
     return 0
 
 

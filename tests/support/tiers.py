@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from zygos.report.provenance import measured_commit
+
 SLOW_FOLDERS = ("hil", "pil", "soak")
 """Folders whose tests are all slow: `make test` does not run them."""
 SLOW_TIMEOUT_S = 1800.0
@@ -171,7 +173,7 @@ class Ledger:
         if self.path:
             tests = {name: asdict(cost) for name, cost in sorted(self.costs.items())}
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            content = {"processor_s": total_s, "unit_s": unit_s(), "tests": tests}
+            content = {"commit": measured_commit(), "processor_s": total_s, "unit_s": unit_s(), "tests": tests}
             self.path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
