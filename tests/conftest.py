@@ -19,7 +19,7 @@ from zygos.model.model import Model, load_model
 from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Scenario, load_scenario
 
-pytest_plugins = ["zygos.testing", "tiers", "schema_support"]
+pytest_plugins = ["zygos.testing", "tiers", "schema_support", "recorded_support"]
 
 ROOT = Path(__file__).resolve().parent.parent
 PAPER = ROOT / "examples" / "paper"

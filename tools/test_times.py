@@ -35,10 +35,8 @@ def table(content: dict[str, Any]) -> str:
     lines += ["", "| the longest quick tests | processor time, s |", "|---|---|"]
     lines += [f"| `{name.replace('|', '/')}` | {spent:.1f} |" for spent, name in quick[: -SLOWEST - 1 : -1]]
     whole, unit = content["processor_s"], content["unit_s"]
-    lines += [
-        "",
-        f"With what collects them, all take {whole:.0f} s: {whole / unit:,.0f} units of {unit:.3f} s. Commit {content['commit']}.",
-    ]
+    units = f"{whole / unit:,.0f} units of {unit:.3f} s"
+    lines += ["", f"With what collects them, all take {whole:.0f} s: {units}. Commit {content['commit']}."]
     return "\n".join(lines) + "\n"
 
 

@@ -105,16 +105,16 @@ typedef struct {
     zygos_guard_t guard;
 } zygos_t;
 
-/// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
-/// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
+/// Digest of the offsets and types in the structs that library and caller exchange, at the default capacities on a
+/// processor of 64 bits. It changes when a field is moved or given another type, and not when it is renamed. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0x20F0A26Au
+#define ZYGOS_LAYOUT 0x62675C83u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
 /// Identifies the memory layout, the same on processors of 32 and of 64 bits: of zygos_solver_t, which has pointers and
-/// is in no snapshot, the text counts and not the size. It differs between builds whose structs differ in their text,
-/// by their capacities or by the compiler. The caller writes it into zygos_config_t.abi, and zygos_init() compares it
+/// is in no snapshot, ZYGOS_LAYOUT counts and not the size. It differs between builds whose structs differ in layout, by
+/// their capacities or by the compiler. The caller writes it into zygos_config_t.abi, and zygos_init() compares it
 /// with that of the library. It is also in the head of a snapshot.
 #define ZYGOS_ABI                                                                                                      \
     ZYGOS_MIX(                                                                                                         \

@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +24,15 @@ ENVIRONMENT = {**os.environ, "GLIBC_TUNABLES": NO_STRING_INSTRUCTIONS}
 _WATCHED = [f"--toggle-collect=zygos_{one}" for one in ("frame", "step", "solve")]
 
 
-def build(folder: Path, capacities: tuple[str, ...]) -> Path:
-    """Compile library and driver with the house flags. Returns the program."""
+def build(folder: Path, capacities: tuple[str, ...], library: Sequence[Path] = ()) -> Path:
+    """Compile library and driver with the house flags. Returns the program.
+
+    library: an archive of the library in place of its sources; of its functions it is not known which file they are of.
+    """
     program = folder / "driver"
     folder.mkdir(parents=True, exist_ok=True)
     includes = [f"-I{ROOT / 'include'}", f"-I{ROOT / 'c' / 'ports' / 'cortex-m'}"]
-    sources = [*sorted((ROOT / "c").glob("*.c")), DRIVER, DRIVER.with_name("host.c")]
+    sources = [DRIVER, DRIVER.with_name("host.c"), *(library or sorted((ROOT / "c").glob("*.c")))]
     subprocess.run([*COMPILER, *capacities, *includes, *map(str, sources), "-o", str(program)], check=True)
     return program
 

@@ -92,7 +92,7 @@ arcs of 300 cycles, so that some end. JOINT_ROWS: on the ground joint rows alone
 
 def with_effects(key: str) -> Configuration:
     """The paper's arm with an effect at each joint."""
-    one = replace(CONFIGURATIONS["paper"](), capacities=("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
+    one = CONFIGURATIONS["paper"]()
     return replace(one, effects=tuple(Effect(CATALOGUE[key], joint.name, 0.0) for joint in one.arm.joints))
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ground_support import seen, torque_of
 from laboratory_support import laboratory_arm
+from runs_support import trajectory_of
 
 from bench import callgrind, cortex
 from bench.configurations import GROUND_PERIOD_S, Configuration, random_cycles, write_run
@@ -21,7 +22,6 @@ from zygos.errors import ZygosError
 from zygos.model.model import load_model
 from zygos.native.flight import lib
 from zygos.runs.cycles import Cycles
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 DURATION_S = {"paper": 120.0, "spatial": 30.0, "seven": 60.0}
@@ -36,15 +36,8 @@ def motion(one: Configuration) -> Cycles:
         if one.example:
             place = ROOT / "examples" / one.example
             plant, scenario = load_model(place / "model.toml"), load_scenario(place / "scenario.toml")
-            run = simulate(
-                one.arm,
-                plant,
-                scenario,
-                noise=True,
-                seeds=[0],
-                duration_s=DURATION_S[one.example],
-                rtol=1e-6,
-                atol=1e-8,
+            run = trajectory_of(
+                one.arm, plant, scenario, noise=True, duration_s=DURATION_S[one.example], rtol=1e-6, atol=1e-8
             )
             _KNOWN[one.example] = run.cycles()
         else:

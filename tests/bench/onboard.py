@@ -15,18 +15,18 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from build_support import INCLUDE, objects
 from numpy.typing import NDArray
 from refine_support import noisy, plant
+from runs_support import trajectory_of
 
 from bench import cortex
-from bench.callgrind import COMPILER
 from bench.configurations import build_of
 from bench.counting import STAGES
 from bench.rows import FOLDER
 from conftest import ROOT
 from zygos.native import flight
 from zygos.refinement.motion import FlexibleMotion
-from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
 DRIVER = Path(__file__).with_name("refine.c")
@@ -86,7 +86,8 @@ def write_run(case: Case, path: Path) -> None:
     """Write what refine.c reads."""
     arm, model = noisy(case.example, 0.005), plant(case.example)
     scenario = load_scenario(ROOT / "examples" / case.example / "scenario.toml")
-    run = simulate(arm, model, scenario, duration_s=case.cycles * arm.period_s, rtol=1e-6, atol=1e-8).cycles()
+    seconds = case.cycles * arm.period_s
+    run = trajectory_of(arm, model, scenario, duration_s=seconds, rtol=1e-6, atol=1e-8).cycles()
     truth = model.base_values(arm)
     sigma = 0.003 * FlexibleMotion(arm, truth).size
     with build_of(case.capacities) as ffi:
@@ -106,9 +107,9 @@ def write_run(case: Case, path: Path) -> None:
 def on_host(case: Case, folder: Path) -> bytes:
     """Estimate and root at the end, by a program of this machine on folder/run.bin."""
     program = folder / "driver"
-    includes = [f"-I{ROOT / 'include'}", f"-I{ROOT / 'c' / 'ports' / 'cortex-m'}"]
-    sources = [*sorted((ROOT / "c").glob("*.c")), DRIVER, DRIVER.with_name("host.c")]
-    subprocess.run([*COMPILER, *case.capacities, *includes, *map(str, sources), "-o", str(program)], check=True)
+    compiler = ["gcc", "-std=c11", "-O1", "-ffp-contract=off", *case.capacities]
+    command = [*compiler, INCLUDE, f"-I{ROOT / 'c' / 'ports' / 'cortex-m'}", DRIVER, DRIVER.with_name("host.c")]
+    subprocess.run([*command, *objects(compiler), "-lm", "-o", str(program)], check=True)
     subprocess.run([program.resolve()], cwd=folder, check=True)
     return _split((folder / "out.bin").read_bytes())[2]
 

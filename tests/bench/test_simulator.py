@@ -14,7 +14,7 @@ ERROR = 1e-9
 @pytest.mark.slow(only=["seven"])
 @pytest.mark.parametrize("name", ["spatial", "seven"])
 def test_compiled_equations_are_ten_times_as_fast(name: str) -> None:
-    cost = measure(name, 0.03)
+    cost = measure(name, 0.02)
     assert cost.ratio >= LEAST
     assert 0.0 < cost.error < ERROR
     assert cost.evaluations > 12  # of DOP853: a step is no less

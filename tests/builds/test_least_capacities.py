@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
-from build_support import ROOT, tool
+from build_support import capacities
 from flight_support import part
 from numpy.typing import NDArray
 from soak_support import fly, instants, stored, with_all_rows
@@ -23,43 +18,25 @@ from zygos.native.flight import Flight
 from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Scenario
 
+pytestmark = pytest.mark.slow
+
 Floats = NDArray[np.float64]
 
-LEAST = "-DZYGOS_MAX_BLOCKS=11 -DZYGOS_MAX_MOTOR_BLOCKS=4 -DZYGOS_MAX_MOMENTUM_BLOCKS=4"
+LEAST = (
+    *("-DZYGOS_MAX_BLOCKS=11", "-DZYGOS_MAX_MOTOR_BLOCKS=4", "-DZYGOS_MAX_MOMENTUM_BLOCKS=4"),
+    *("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"),
+)
 LEAST_BLOCKS, LEAST_ARCS = 6, 3
 
 
-@contextmanager
-def loaded(folder: Path) -> Iterator[None]:
-    """The library of a folder, in place of the one that is loaded."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flight, "_FOLDER", folder)
-        ffi, lib = flight._load()
-        patch.setattr(flight, "ffi", ffi)
-        patch.setattr(flight, "lib", lib)
-        yield
-
-
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the library with these capacities."""
-    tool(os.environ.get("CC", "cc").split()[0])
-    folder = tmp_path_factory.mktemp("least")
-    flags = f"{LEAST} -DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0"
-    script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(folder)]
-    subprocess.run(script, env={**os.environ, "CFLAGS": flags}, check=True)
-    return folder
-
-
 @pytest.fixture
-def small(built: Path) -> Iterator[None]:
+def small() -> Iterator[None]:
     """The library of these capacities, in place of the one that is loaded."""
-    with loaded(built):
+    with capacities(*LEAST):
         assert flight.lib.ZYGOS_MAX_BLOCKS_VALUE == 11
         yield
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 def test_it_answers_at_any_time(arm: Arm, noisy: Trajectory) -> None:
     """Every second, once the first few have told enough, and with rows of all kinds."""
@@ -76,7 +53,6 @@ def test_it_answers_at_any_time(arm: Arm, noisy: Trajectory) -> None:
     assert looks >= 30
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 def test_it_answers_for_hours(arm: Arm, model: Model, scenario: Scenario) -> None:
     floating, rng = with_all_rows(arm), np.random.default_rng(0)
@@ -107,13 +83,12 @@ def estimated(arm: Arm, runs: Sequence[Floats]) -> tuple[Floats, Floats]:
     return np.stack(values), np.stack(widths)
 
 
-@pytest.mark.slow
-def test_its_intervals_hold(arm: Arm, noisy: Trajectory, true: Floats, built: Path) -> None:
+def test_its_intervals_hold(arm: Arm, noisy: Trajectory, true: Floats) -> None:
     """Seeds 0 .. 49: 95 % of all, give or take three standard errors of fifty runs, or more of them; and the intervals
     are not half as wide again as those of the usual capacities."""
     runs = [flight.encode(arm, noisy.cycles(seed)) for seed in range(50)]
     usual = estimated(arm, runs)[1]
-    with loaded(built):
+    with capacities(*LEAST):
         values, widths = estimated(arm, runs)
     hits = np.abs(values - true) <= widths
     ratio = np.median(widths / usual, axis=0)

@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from build_support import ROOT, run, tool
+from build_support import INCLUDE, ONBOARD, ROOT, onboard, run, tool
 
 FLAGS = "-std=c11 -Wall -Wextra -Wconversion -Wshadow -pedantic -Werror".split()
-ONBOARD = ROOT / "examples" / "onboard"
 PAGES = (ROOT / "README.md", ROOT / "docs" / "integrate.md")
 MAIN = """
 void can_enable(bool enabled) { (void)enabled; }
@@ -42,14 +41,14 @@ def program(page: Path) -> str:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_it_compiles_without_a_warning(page: Path, compiler: str, tmp_path: Path) -> None:
     (tmp_path / "page.c").write_text(program(page))
-    run([tool(compiler), *FLAGS, f"-I{ROOT / 'include'}", f"-I{ONBOARD}", "-c", "page.c"], tmp_path)
+    run([tool(compiler), *FLAGS, INCLUDE, f"-I{ONBOARD}", "-c", "page.c"], tmp_path)
 
 
 def test_the_program_of_the_manual_starts(tmp_path: Path) -> None:
     (tmp_path / "page.c").write_text(program(PAGES[1]) + MAIN)
-    sizes = re.search(r"^CAPACITIES := (.*)$", (ONBOARD / "Makefile").read_text(), re.M)
-    assert sizes is not None
-    library = [str(path) for path in sorted((ROOT / "c").glob("*.c"))]
-    paths = [f"-I{ROOT / 'include'}", f"-I{ONBOARD}"]
-    run([tool("gcc"), *FLAGS, *sizes[1].split(), *paths, "page.c", *library, "-lm", "-o", "page"], tmp_path)
+    library = onboard() / "zygos" / "lib"
+    said = run(
+        [tool("pkg-config"), "--cflags", "--libs", "zygos"], tmp_path, PKG_CONFIG_LIBDIR=str(library / "pkgconfig")
+    )
+    run([tool("gcc"), *FLAGS, f"-I{ONBOARD}", "page.c", *said.split(), "-o", "page"], tmp_path)
     run([str(tmp_path / "page")], tmp_path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import functools
 import random
 import re
 import shutil
@@ -14,46 +13,27 @@ from pathlib import Path
 from typing import Any
 
 import cantools
+import cli_support
 import numpy as np
 import pytest
-from build_support import ROOT, run, tool
+from build_support import ONBOARD, ROOT, flags_of, onboard, run, tool
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from zygos.arm import Arm
 from zygos.can.bus import write_log
-from zygos.cli import app
 from zygos.native.flight import FRAME, Flight, encode, ffi, lib
 from zygos.simulation.plant import Trajectory
 
-EXAMPLE = ROOT / "examples" / "onboard"
-STRICT = "-Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic -Werror"
 SOLVE_EVERY = 200
 PAYLOAD_CHANGED = 0x7F0
 TELEMETRY = 0x1A0
-LEON3 = ["CC=sparc64-linux-gnu-gcc", "CFLAGS=-m32 -mcpu=leon3 -static"]
-
 Estimates = dict[int, tuple[int, int, dict[int, tuple[float, float]]]]
 """By cycle: validity, reason, and value and half95 of what is known."""
 
 
-def build(folder: Path, *words: str) -> Path:
-    """The example's program for a target, all its objects below folder."""
-    run([tool("make"), "-s", "-j2", f"BUILD={folder}", *(words or [f"CFLAGS={STRICT}"])], EXAMPLE)
-    return folder / "onboard"
-
-
 @pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("host"))
-
-
-@pytest.fixture(scope="module")
-def image(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """The program for a target, built once."""
-    return functools.cache(
-        lambda target: build(tmp_path_factory.mktemp(target), f"TARGET={target}", f"CFLAGS={STRICT}")
-    )
+def program() -> Path:
+    return onboard() / "onboard"
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +127,9 @@ def test_a_big_endian_leon3_gives_the_same_bits(program: Path, frames: NDArray[A
     """flight.c and the library, compiled for LEON3, in QEMU's user mode. It refuses a state of the other byte order."""
     qemu, log = tool("qemu-sparc32plus"), log_of(frames, arm, tmp_path)
     tool("sparc64-linux-gnu-gcc")
-    leon3 = build(tmp_path / "build", *LEON3)
+    words = ["CC=sparc64-linux-gnu-gcc", "CFLAGS=-m32 -mcpu=leon3 -static", f"ZYGOS={onboard('leon3') / 'zygos'}"]
+    run([tool("make"), "-s", f"BUILD={tmp_path / 'build'}", *words], ONBOARD)
+    leon3 = tmp_path / "build" / "onboard"
     little, big = tmp_path / "little", tmp_path / "big"
     text = run([str(program), str(log), str(little)], tmp_path)
     assert run([qemu, str(leon3), str(log), str(big)], tmp_path) == text
@@ -216,8 +198,8 @@ def test_what_is_believed_follows_from_validity(program: Path, frames: NDArray[A
         tmp_path,
         PKG_CONFIG_LIBDIR=str(zygos / "lib" / "pkgconfig"),
     ).split()
-    sources = [str(EXAMPLE / "flight.c"), str(EXAMPLE / "host.c"), "solver.c"]
-    run([tool("gcc"), "-std=c11", f"-I{EXAMPLE}", *sources, *flags, "-o", "scripted"], tmp_path)
+    sources = [str(ONBOARD / "flight.c"), str(ONBOARD / "host.c"), "solver.c"]
+    run([tool("gcc"), "-std=c11", f"-I{ONBOARD}", *sources, *flags, "-o", "scripted"], tmp_path)
     text = run([str(tmp_path / "scripted"), str(log_of(frames, arm, tmp_path))], tmp_path)
     known = {cycle: {i: value for i, (value, _) in row[2].items()} for cycle, row in estimates(text).items()}
     partial = {i: 100.0 + i for i in range(0, 12, 2)}
@@ -293,20 +275,19 @@ def test_what_the_library_does_not_decode_passes(program: Path, frames: NDArray[
 
 def test_the_configuration_is_that_of_the_paper(tmp_path: Path) -> None:
     """arm_config.h is what `zygos compile-model` writes."""
-    done = CliRunner().invoke(app, ["compile-model", str(ROOT / "examples/paper/arm.toml"), "-o", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    assert (EXAMPLE / "arm_config.h").read_text() == (tmp_path / "arm_config.h").read_text()
+    assert cli_support.run("compile-model", ROOT / "examples/paper/arm.toml", "-o", tmp_path) == 0
+    assert (ONBOARD / "arm_config.h").read_text() == (tmp_path / "arm_config.h").read_text()
 
 
 def test_a_copy_of_the_folder_links_what_is_installed(program: Path, tmp_path: Path) -> None:
-    copy = shutil.copytree(EXAMPLE, tmp_path / "mine", ignore=shutil.ignore_patterns("build"))
-    run([tool("make"), "-s", f"ZYGOS={program.parent / 'zygos'}"], copy)
+    copy = shutil.copytree(ONBOARD, tmp_path / "mine", ignore=shutil.ignore_patterns("build"))
+    run([tool("make"), "-s", f"ZYGOS={program.parent / 'zygos'}", "CC=gcc", f"CFLAGS={flags_of('gcc')}"], copy)
     assert (copy / "build" / "host" / "onboard").read_bytes() == program.read_bytes()
 
 
 def test_another_target_is_refused(tmp_path: Path) -> None:
     command = [tool("make"), "TARGET=z80", f"BUILD={tmp_path / 'b'}"]
-    done = subprocess.run(command, cwd=EXAMPLE, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ONBOARD, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "remedy: TARGET=host" in done.stderr
     assert not (tmp_path / "b").exists()
@@ -314,8 +295,11 @@ def test_another_target_is_refused(tmp_path: Path) -> None:
 
 def test_an_arm_that_the_build_does_not_hold_is_refused(tmp_path: Path) -> None:
     """arm_config.h knows what capacities it needs."""
-    command = [tool("make"), f"BUILD={tmp_path}", "CAPACITIES=-DZYGOS_MAX_JOINTS=1", "CFLAGS=-O0"]
-    done = subprocess.run(command, cwd=EXAMPLE, capture_output=True, text=True, check=False)
+    prefix = shutil.copytree(onboard() / "zygos", tmp_path / "zygos")
+    package = prefix / "lib" / "pkgconfig" / "zygos.pc"
+    package.write_text(package.read_text().replace("MAX_JOINTS=2", "MAX_JOINTS=1"))
+    command = [tool("make"), f"BUILD={tmp_path}/build", f"ZYGOS={prefix}"]
+    done = subprocess.run(command, cwd=ONBOARD, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "remedy: compile with -DZYGOS_MAX_JOINTS=2" in done.stderr
 
@@ -325,11 +309,9 @@ def test_an_arm_that_the_build_does_not_hold_is_refused(tmp_path: Path) -> None:
     ("target", "machine", "prefix"),
     [("m7", "ARM", "arm-none-eabi"), ("m4f", "ARM", "arm-none-eabi"), ("leon3", "Sparc", "sparc64-linux-gnu")],
 )
-def test_cross_builds_are_whole(
-    target: str, machine: str, prefix: str, image: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_cross_builds_are_whole(target: str, machine: str, prefix: str, tmp_path: Path) -> None:
     tool(f"{prefix}-gcc")
-    elf = str(image(target))
+    elf = str(onboard(target) / "onboard")
     head = run([tool(f"{prefix}-readelf"), "-h", elf], tmp_path)
     assert re.search(rf"Machine: +{machine}$", head, re.M), head  # code of V9 would make it "Sparc v8+"
     assert re.search(r"Type: +EXEC", head)
@@ -345,7 +327,7 @@ def test_the_v8_runtime_computes_as_the_processor_does(tmp_path: Path) -> None:
     names = ["memcpy", "memmove", "memset", "memcmp", "__fixdfdi", "__fixunsdfdi", "__floatundidf"]
     renamed = [f"-D{name}=v8_{name.strip('_')}" for name in names]
     command = [tool("gcc"), "-std=c11", "-O2", "-ffreestanding", "-shared", "-fPIC", *renamed]
-    run([*command, str(EXAMPLE / "sparc-v8.c"), "-o", "v8.so"], tmp_path)
+    run([*command, str(ONBOARD / "sparc-v8.c"), "-o", "v8.so"], tmp_path)
     v8 = ctypes.CDLL(str(tmp_path / "v8.so"))
     v8.v8_fixdfdi.argtypes, v8.v8_fixdfdi.restype = [ctypes.c_double], ctypes.c_int64
     v8.v8_fixunsdfdi.argtypes, v8.v8_fixunsdfdi.restype = [ctypes.c_double], ctypes.c_uint64
@@ -429,7 +411,6 @@ def test_a_cortex_m_sends_what_the_host_sends(
     program: Path,
     frames: NDArray[Any],
     arm: Arm,
-    image: Callable[[str], Path],
     tmp_path: Path,
     qemu: Callable[[str, Path], Serial],
 ) -> None:
@@ -444,7 +425,7 @@ def test_a_cortex_m_sends_what_the_host_sends(
     expected = telemetry(run([str(program), str(log_of(some, arm, tmp_path))], tmp_path))
     assert len(expected) == 2 * 2 + 2 * 12
     sent = {SOLVE_EVERY: 2, 2 * SOLVE_EVERY: len(expected)}  # the first estimate is refused: a verdict and its reason
-    line = qemu(machine, image(target))
+    line = qemu(machine, onboard(target) / "onboard")
     line.send("O\r")
     line.wait("\r", 1)
     for k, part in enumerate(np.split(some, syncs[1:])):

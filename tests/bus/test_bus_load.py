@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -77,48 +77,61 @@ def random_frames(count: int, seed: int) -> Log:
     return frames
 
 
-@cache
-def longest(length: int) -> tuple[int, int, bytes]:
-    """The largest number of bits a data frame of this length can take, and identifier and data of one that does.
+Step = tuple[NDArray[np.int32], NDArray[np.int8]]
 
-    By dynamic programming over all 2^(11 + 8 length) frames: the state is the CRC so far, the last bit, and how many
-    alike precede; the value, how many stuff bits can still come.
-    """
-    crc, last, alike = np.meshgrid(np.arange(2**15), [0, 1], [1, 2, 3, 4], indexing="ij")
+
+@cache
+def steps() -> tuple[Step, Step, NDArray[np.int8]]:
+    """States of a frame that is being sent: the CRC so far, the last bit, and how many alike precede. For a bit 0 and a
+    bit 1: the state behind it, and whether a stuff bit comes; and how many come within the CRC itself."""
+    crc, last, alike = (part.ravel() for part in np.meshgrid(np.arange(2**15), [0, 1], [1, 2, 3, 4], indexing="ij"))
 
     def stuffed(last: Any, alike: Any, bit: Any) -> tuple[Any, Any, Any]:
         alike = np.where(bit == last, alike + 1, 1)
         full = alike == 5
         return np.where(full, 1 - bit, bit), np.where(full, 1, alike), full
 
-    def divided(crc: Any, bit: int) -> Any:
-        return crc * 2 % 2**15 ^ np.where(crc // 2**14 == bit, 0, 0x4599)
-
-    value, before, count = np.zeros_like(crc), last, alike
+    within, before, count = np.zeros(len(crc), np.int8), last, alike
     for k in reversed(range(15)):
         before, count, full = stuffed(before, count, crc >> k & 1)
-        value = value + full
-    fixed = [None] * 11 + [0, 0, 0] + [length >> k & 1 for k in (3, 2, 1, 0)] + [None] * (8 * length)
-    values = [value]
-    for known in reversed(fixed):
-        choices = []
-        for bit in (0, 1) if known is None else (known,):
-            after, count, full = stuffed(last, alike, bit)
-            choices.append(full + values[-1][divided(crc, bit), after, count - 1])
-        values.append(np.max(choices, axis=0))
-    values.reverse()
-    state, bits = (0, 0, 1), []  # behind the start of frame
-    for known, value in zip(fixed, values[1:], strict=True):
-        steps = []
-        for bit in (0, 1) if known is None else (known,):
-            after, count, full = stuffed(state[1], state[2], bit)
-            reached = (int(divided(state[0], bit)), int(after), int(count))
-            steps.append((int(full) + int(value[reached[0], reached[1], reached[2] - 1]), bit, reached))
-        _, bit, state = max(steps)
+        within += full
+    out = []
+    for bit in (0, 1):
+        after, count, full = stuffed(last, alike, bit)
+        divided = crc * 2 % 2**15 ^ np.where(crc // 2**14 == bit, 0, 0x4599)
+        out.append(((8 * divided + 4 * after + count - 1).astype(np.int32), full.astype(np.int8)))
+    return out[0], out[1], within
+
+
+def stuff_bits(value: NDArray[np.int8], bits: Sequence[int]) -> NDArray[np.int8]:
+    """How many stuff bits can still come before one of these bits, from how many can behind it."""
+    choices = [steps()[bit] for bit in bits]
+    return np.max([full + value[after] for after, full in choices], axis=0)
+
+
+@cache
+def of_data(count: int) -> NDArray[np.int8]:
+    """How many stuff bits can still come before so many bits of data."""
+    return stuff_bits(of_data(count - 1), (0, 1)) if count else steps()[2]
+
+
+def longest(length: int) -> tuple[int, int, bytes]:
+    """The largest number of bits a data frame of this length can take, and identifier and data of one that does: by
+    dynamic programming over all 2^(11 + 8 length) frames."""
+    head = [(0, 1)] * 11 + [(0,)] * 3 + [(length >> k & 1,) for k in (3, 2, 1, 0)]
+    values = [of_data(8 * length)]
+    for choices in reversed(head):
+        values.append(stuff_bits(values[-1], choices))
+    values = [*reversed(values), *(of_data(count) for count in reversed(range(8 * length)))]
+    state, bits = 0, []  # behind the start of frame
+    for choices, value in zip([*head, *[(0, 1)] * (8 * length)], values[1:], strict=True):
+        reached = [(int(full[state] + value[after[state]]), bit, after[state]) for bit in choices
+                   for after, full in (steps()[bit],)]  # fmt: skip
+        _, bit, state = max(reached)
         bits.append(bit)
     text = "".join(map(str, bits))
     data = bytes(int(text[18 + 8 * k : 26 + 8 * k], 2) for k in range(length))
-    return 34 + 8 * length + int(values[0][0, 0, 0]) + 13, int(text[:11], 2), data
+    return 34 + 8 * length + int(values[0][0]) + 13, int(text[:11], 2), data
 
 
 @pytest.mark.parametrize("length", range(9))
@@ -224,10 +237,9 @@ def test_a_full_bus_is_9009_frames_a_second() -> None:
 
 
 def test_at_the_largest_sync_rate_the_bus_is_loaded_to_the_limit(arm: Arm, seven: Callable[[str | None], Arm]) -> None:
-    for whole in (arm, seven("fine"), seven("coarse"), seven(None)):
-        for bitrate in (125_000, 500_000, 1_000_000):
-            fastest = plan(whole, bitrate).largest_sync_hz
-            assert plan(replace(whole, period_s=1 / fastest), bitrate).load == pytest.approx(0.7, rel=1e-12)
+    for whole, bitrate in ((arm, 125_000), (seven("fine"), 500_000), (seven(None), 1_000_000)):
+        fastest = plan(whole, bitrate).largest_sync_hz
+        assert plan(replace(whole, period_s=1 / fastest), bitrate).load == pytest.approx(0.7, rel=1e-12)
 
 
 def test_a_fixed_base_has_no_gyro_and_no_attitude(seven: Callable[[str | None], Arm]) -> None:
@@ -293,7 +305,7 @@ def test_lost_and_repeated_syncs_do_not_change_the_time(recorded: tuple[Log, Pat
     assert found.busiest <= whole.busiest
 
 
-@pytest.mark.parametrize("bitrate", [1_000_000, 200_000, 62_000])
+@pytest.mark.parametrize("bitrate", [1_000_000, 62_000])
 def test_the_remedies_help(tmp_path: Path, capsys: pytest.CaptureFixture[str], bitrate: int) -> None:
     """Seven joints at 1 kHz: refused with the table shown; with what the message says, 70 % are kept."""
     path, text = tmp_path / "arm.toml", arm_text(SEVEN, SEVEN_NODES, period_s=0.001)
@@ -328,7 +340,7 @@ def test_what_no_period_can_help(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 def test_a_full_log_is_refused(recorded: tuple[Log, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The arm's own frames fit; those of others in the log do not."""
-    frames = np.concatenate([np.insert(recorded[0], 5, np.repeat(frame(0x7FF, bytes(8)), 60_000))])
+    frames = np.insert(recorded[0][:701], 5, np.repeat(frame(0x7FF, bytes(8)), 5_000))
     bus.write_log(tmp_path / "full.blf", frames, 0.05)
     command = ("bus-load", "--arm", EXAMPLE / "arm.toml", "--bitrate", 125_000, "--run", tmp_path / "full.blf")
     assert run(*command, "--json", "-") == 3

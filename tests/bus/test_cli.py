@@ -21,6 +21,7 @@ import pytest
 from bus_support import playing
 from cli_support import run
 from numpy.typing import NDArray
+from runs_support import trajectory_of
 from schema_support import hold
 
 from conftest import EXAMPLE, ROOT
@@ -37,21 +38,29 @@ from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
 
 
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run")
-    assert run("simulate", EXAMPLE / "scenario.toml", "-o", folder / "run.blf", "--seed", 3) == 0
-    return folder
+def example_with(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
+    """A copy of the example whose file `name` is changed; returns that file."""
+    shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
+    text = (folder / name).read_text()
+    for find, put in changes:
+        assert find in text
+        text = text.replace(find, put)
+    (folder / name).write_text(text)
+    return folder / name
 
 
-def test_simulate_leaves_a_run_and_its_arm_and_no_truth(simulated: Path) -> None:
-    assert sorted(path.name for path in simulated.iterdir()) == ["arm.toml", "run.blf"]
-    assert (simulated / "arm.toml").read_bytes() == (EXAMPLE / "arm.toml").read_bytes()
+def lasting(folder: Path, duration_s: float) -> Path:
+    """The scenario of a copy of the example that ends earlier."""
+    return example_with(folder, "scenario.toml", ("duration_s = 60.0", f"duration_s = {duration_s}"))
 
 
-def test_estimate_where_no_truth_exists(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("run.blf", "arm.toml"):
-        shutil.copy(simulated / name, tmp_path)
+def test_simulate_leaves_a_run_and_its_arm_and_no_truth(recording: Path) -> None:
+    assert sorted(path.name for path in recording.parent.iterdir()) == ["arm.toml", "run.blf"]
+    assert recording.with_name("arm.toml").read_bytes() == (EXAMPLE / "arm.toml").read_bytes()
+
+
+def test_estimate_where_no_truth_exists(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(recording.parent, tmp_path, dirs_exist_ok=True)
     out, numbers = tmp_path / "m.toml", tmp_path / "m.json"
     assert run("estimate", tmp_path / "run.blf", "-o", out, "--json", numbers) == 0
     assert "a11" in capsys.readouterr().out
@@ -65,15 +74,16 @@ def test_estimate_where_no_truth_exists(simulated: Path, tmp_path: Path, capsys:
 
 
 def test_estimate_json_to_stdout_is_all_there_is(
-    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "m.toml", "--json", "-") == 0
+    assert run("estimate", brief_recording, "-o", tmp_path / "m.toml", "--json", "-") == 0
     assert json.loads(capsys.readouterr().out)["arm"] == "lively"
 
 
-def test_the_estimate_can_be_simulated(simulated: Path, tmp_path: Path) -> None:
-    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "m.toml") == 0
-    assert run("simulate", EXAMPLE / "scenario.toml", "--model", tmp_path / "m.toml", "-o", tmp_path / "again.log") == 0
+def test_the_estimate_can_be_simulated(brief_recording: Path, tmp_path: Path) -> None:
+    assert run("estimate", brief_recording, "-o", tmp_path / "m.toml") == 0
+    scenario = lasting(tmp_path / "example", 1.0)
+    assert run("simulate", scenario, "--model", tmp_path / "m.toml", "-o", tmp_path / "again.log") == 0
 
 
 FRICTION = """
@@ -95,13 +105,13 @@ value = 1.0
 """
 
 
-def test_effects_of_a_model_are_learned(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_effects_of_a_model_are_learned(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Their values in the prior play no part; what is no column is carried over."""
     plant = example_with(tmp_path / "example", "model.toml")
     bodies = plant.read_text()
     plant.write_text(bodies + FRICTION)
     log, out, numbers = tmp_path / "run.blf", tmp_path / "m.toml", tmp_path / "m.json"
-    assert run("simulate", EXAMPLE / "scenario.toml", "--model", plant, "-o", log) == 0
+    assert run("simulate", lasting(tmp_path / "brief", 20.0), "--model", plant, "-o", log) == 0
     assert run("estimate", log, "-o", out) == 3
     assert "only if --model names them" in capsys.readouterr().err
     plant.write_text(bodies + FRICTION.replace("0.8", "0.0"))
@@ -122,12 +132,12 @@ def test_effects_of_a_model_are_learned(simulated: Path, tmp_path: Path, capsys:
     assert load_model(tmp_path / "again.toml") == load_model(out)
 
 
-def test_an_arm_file_that_does_not_vouch_for_a_zero_gets_an_offset(simulated: Path, tmp_path: Path) -> None:
+def test_an_arm_file_that_does_not_vouch_for_a_zero_gets_an_offset(recording: Path, tmp_path: Path) -> None:
     """The run was made with zeros that are right; here the elbow's are not: 0.02 rad at 1000 Nm/rad."""
     arm = tmp_path / "arm.toml"
     off = "zero_rad = 0.0, zero_sigma_rad = 0.0"
     before, after = (EXAMPLE / "arm.toml").read_text().rsplit(off, 1)
-    out, log = tmp_path / "m.toml", simulated / "run.blf"
+    out, log = tmp_path / "m.toml", recording
     arm.write_text(f"{before}zero_rad = 0.02, zero_sigma_rad = 0.02{after}")
     assert run("check", log, "--arm", arm) == 0
     run("estimate", log, "--arm", arm, "-o", out)
@@ -141,14 +151,14 @@ def test_an_arm_file_that_does_not_vouch_for_a_zero_gets_an_offset(simulated: Pa
     assert load_model(again) == load_model(out)
 
 
-def test_a_friction_that_noise_makes_negative_is_written_as_none(simulated: Path, tmp_path: Path) -> None:
+def test_a_friction_that_noise_makes_negative_is_written_as_none(brief_recording: Path, tmp_path: Path) -> None:
     written = set()
     for joint in ("shoulder", "elbow"):
         for kind in ("motor_coulomb", "motor_viscous", "cubic_stiffness"):
             prior = example_with(tmp_path / "example", "model.toml")
             prior.write_text(prior.read_text() + f'[[effect]]\nkind = "{kind}"\njoint = "{joint}"\nvalue = 1.0\n')
             out, numbers = tmp_path / "m.toml", tmp_path / "m.json"
-            command = ("estimate", simulated / "run.blf", "-o", out, "--model", prior, "--json", numbers)
+            command = ("estimate", brief_recording, "-o", out, "--model", prior, "--json", numbers)
             assert run(*command) == 0
             found = json.loads(numbers.read_text())["parameters"][-1]["value"]
             expected = found if kind == "cubic_stiffness" else max(found, 0.0)
@@ -159,12 +169,12 @@ def test_a_friction_that_noise_makes_negative_is_written_as_none(simulated: Path
 
 @pytest.mark.parametrize("command", ["estimate", "check"])
 def test_a_rotor_that_does_not_couple_is_refused(
-    command: str, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     prior = example_with(tmp_path / "example", "model.toml")
     prior.write_text(prior.read_text() + FRICTION.replace("value = 1.0", "value = 0.0"))
     more = ("-o", tmp_path / "m.toml") if command == "estimate" else ()
-    assert run(command, simulated / "run.blf", "--model", prior, *more) == 2
+    assert run(command, brief_recording, "--model", prior, *more) == 2
     assert re.search("rotor_coupling at elbow.*remedy", capsys.readouterr().err, re.S)
 
 
@@ -194,9 +204,9 @@ def test_a_rigid_prior_is_kept_where_the_run_is_silent(tmp_path: Path) -> None:
 
 
 def test_estimate_of_too_short_a_run_is_undecided(
-    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    frames = bus.read_log(simulated / "run.blf").frames
+    frames = bus.read_log(brief_recording).frames
     short = tmp_path / "short.blf"
     bus.write_log(short, frames[:150], 0.05)
     code = run(
@@ -210,14 +220,14 @@ def test_estimate_of_too_short_a_run_is_undecided(
     assert content["parameters"][0]["value"] is None
 
 
-def test_check(simulated: Path, tmp_path: Path) -> None:
-    assert run("check", simulated / "run.blf", "--json", tmp_path / "check.json") == 0
+def test_check(recording: Path, tmp_path: Path) -> None:
+    assert run("check", recording, "--json", tmp_path / "check.json") == 0
     rooms = {room["room"]: room for room in json.loads((tmp_path / "check.json").read_text())["rooms"]}
     assert all(room["equal"] for room in rooms.values())
     assert rooms["balance"]["compared"] > 10_000
 
 
-def test_check_says_when_c_and_numpy_differ(simulated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_says_when_c_and_numpy_differ(brief_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from zygos.runs.smoother import smooth
 
     def bent(arm: Arm, samples: Samples) -> Smoothed:
@@ -225,32 +235,32 @@ def test_check_says_when_c_and_numpy_differ(simulated: Path, monkeypatch: pytest
         return replace(straight, qd=straight.qd * (1 + 1e-9))
 
     monkeypatch.setattr(check, "smooth", bent)
-    assert run("check", simulated / "run.blf") == 3
+    assert run("check", brief_recording) == 3
 
 
-def test_listen(simulated: Path, tmp_path: Path) -> None:
-    with playing("test_listen", simulated / "run.blf", 0.05):
+def test_listen(brief_recording: Path, tmp_path: Path) -> None:
+    with playing("test_listen", brief_recording, 0.05):
         where = ("-i", "virtual", "-c", "test_listen", "--idle", 1)
         files = ("-o", tmp_path / "live.toml", "--log", tmp_path / "live.blf")
         code = run("listen", "--arm", EXAMPLE / "arm.toml", *where, *files)
     assert code == 0
-    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "replayed.toml") == 0
+    assert run("estimate", brief_recording, "-o", tmp_path / "replayed.toml") == 0
     assert (tmp_path / "live.toml").read_bytes() == (tmp_path / "replayed.toml").read_bytes()
-    assert bus.read_log(tmp_path / "live.blf").frames.tobytes() == bus.read_log(simulated / "run.blf").frames.tobytes()
+    assert bus.read_log(tmp_path / "live.blf").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
 
 
 def test_listen_estimates_the_effects_of_a_model(
-    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As `estimate` does; table and JSON tell the significance of effects, and of nothing else."""
     prior = tmp_path / "prior.toml"
     entry = '\n[[effect]]\nkind = "motor_viscous"\njoint = "elbow"\nvalue = 0\n'
     prior.write_text((EXAMPLE / "model.toml").read_text() + entry)
     answers = []
-    with playing("test_effects", simulated / "run.blf", 0.05):
+    with playing("test_effects", brief_recording, 0.05):
         options = ("--idle", 1, "--model", prior, "--json", tmp_path / "live.json")
         listen("test_effects", tmp_path, *options)
-    run("estimate", simulated / "run.blf", "--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json")
+    run("estimate", brief_recording, "--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json")
     for name in ("live.json", "o.json"):
         answers.append(json.loads((tmp_path / name).read_text()))
         hold("estimate", answers[-1])
@@ -262,11 +272,12 @@ def test_listen_estimates_the_effects_of_a_model(
     assert load_model(tmp_path / "live.toml").effects == load_model(tmp_path / "o.toml").effects
     said = capsys.readouterr().out
     assert said.count("significance") == 2
-    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "o.toml") == 0
+    assert run("estimate", brief_recording, "-o", tmp_path / "o.toml") == 0
     assert "significance" not in capsys.readouterr().out
 
 
-def test_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("zygos.paper.tables.simulate", trajectory_of)
     assert run("paper", "--seeds", 2, "--example", EXAMPLE, "--json", tmp_path / "paper.json") == 0
     said = capsys.readouterr().out
     assert "Table III" in said
@@ -324,17 +335,6 @@ def test_help_teaches(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert f"zygos {command}" in capsys.readouterr().out
 
 
-def example_with(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
-    """A copy of the example whose file `name` is changed; returns that file."""
-    shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
-    text = (folder / name).read_text()
-    for find, put in changes:
-        assert find in text
-        text = text.replace(find, put)
-    (folder / name).write_text(text)
-    return folder / name
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
@@ -362,13 +362,13 @@ def example_with(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
 def test_no_output_replaces_an_input_or_another_output(
     arguments: Sequence[object],
     named: str,
-    simulated: Path,
+    brief_recording: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     shutil.copytree(EXAMPLE, tmp_path, dirs_exist_ok=True)
-    shutil.copy(simulated / "run.blf", tmp_path)
+    shutil.copy(brief_recording, tmp_path)
     shutil.copy(EXAMPLE / "arm.toml", tmp_path / "hardware.toml")
     (tmp_path / "link.toml").symlink_to("arm.toml")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -378,10 +378,10 @@ def test_no_output_replaces_an_input_or_another_output(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_a_model_is_called_toml_and_its_folder_is_made(simulated: Path, tmp_path: Path) -> None:
-    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "m.json") == 2
+def test_a_model_is_called_toml_and_its_folder_is_made(brief_recording: Path, tmp_path: Path) -> None:
+    assert run("estimate", brief_recording, "-o", tmp_path / "m.json") == 2
     assert list(tmp_path.iterdir()) == []
-    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "new" / "m.toml") == 0
+    assert run("estimate", brief_recording, "-o", tmp_path / "new" / "m.toml") == 0
     assert (tmp_path / "new" / "m.toml").is_file()
 
 
@@ -392,7 +392,7 @@ def test_the_run_is_looked_for_before_its_arm(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_paths_are_printed_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scenario = example_with(tmp_path / "example", "scenario.toml", ("duration_s = 60.0", "duration_s = 1.0"))
+    scenario = lasting(tmp_path / "example", 1.0)
     log = tmp_path / "[red]:car:" / "run.log"
     assert run("simulate", scenario, "-o", log) == 0
     assert str(log) in capsys.readouterr().out
@@ -401,36 +401,36 @@ def test_paths_are_printed_as_they_are(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_a_file_that_cannot_be_written_is_named(
-    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    brief_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device", ".123.partial")
 
     monkeypatch.setattr("os.replace", full)
     out = tmp_path / "m.toml"
-    assert run("estimate", simulated / "run.blf", "-o", out, "--json", "-") == 2
+    assert run("estimate", brief_recording, "-o", out, "--json", "-") == 2
     said = capsys.readouterr()
     assert json.loads(said.out)["validity"] == "valid"
     assert f"{out}: cannot be written (No space left" in said.err
     assert "partial" not in said.err
     with pytest.raises(ZygosError, match=r"run\.blf: cannot be written"):
-        bus.write_log(tmp_path / "run.blf", bus.read_log(simulated / "run.blf").frames[:100], 0.05)
+        bus.write_log(tmp_path / "run.blf", bus.read_log(brief_recording).frames[:100], 0.05)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-def test_a_terminal_without_utf8(simulated: Path, tmp_path: Path) -> None:
+def test_a_terminal_without_utf8(brief_recording: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     environment.pop("PYTHONIOENCODING", None)
     for end in ([], ["--json", "-"]):
-        command = [sys.executable, "-m", "zygos.cli", "estimate", simulated / "run.blf", "-o", tmp_path / "m.toml"]
+        command = [sys.executable, "-m", "zygos.cli", "estimate", brief_recording, "-o", tmp_path / "m.toml"]
         done = subprocess.run([*command, *end], env=environment, capture_output=True, check=False)
         assert done.returncode == 0, done.stderr
         assert b"a00" in done.stdout
 
 
-def test_what_estimate_says(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    frames = bus.read_log(simulated / "run.blf").frames
+def test_what_estimate_says(brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = bus.read_log(brief_recording).frames
     frames["data"][300, 3] ^= 1
     damaged = tmp_path / "run.log"
     bus.write_log(damaged, frames, 0.05)
@@ -458,26 +458,26 @@ Damage = Callable[[NDArray[np.void]], NDArray[np.void]]
         (lambda frames: frames[frames["id"] != 0x3A0], r"FTIME \(0x3A0\) must come"),
     ],
 )
-def test_the_remedy_begins_with_the_bus(damage: Damage, remedy: str, simulated: Path) -> None:
+def test_the_remedy_begins_with_the_bus(damage: Damage, remedy: str, brief_recording: Path) -> None:
     flight = Flight(load_arm(EXAMPLE / "arm.toml"))
-    flight.frames(damage(bus.read_log(simulated / "run.blf").frames))
+    flight.frames(damage(bus.read_log(brief_recording).frames))
     result = replace(flight.estimate(), reason="the estimate is not physical")
     assert re.search(remedy, remedy_of(result, flight))
 
 
-def test_the_remedy_names_another_period(simulated: Path) -> None:
+def test_the_remedy_names_another_period(brief_recording: Path) -> None:
     arm = load_arm(EXAMPLE / "arm.toml")
     flight = Flight(replace(arm, period_s=0.02))
-    flight.frames(bus.read_log(simulated / "run.blf").frames)
+    flight.frames(bus.read_log(brief_recording).frames)
     assert flight.faults["time_jumped"] > 0
     assert "period_s of the arm file disagrees" in remedy_of(flight.estimate(), flight)
 
 
 @pytest.mark.parametrize("count", [0, 40])
 def test_check_of_a_run_without_an_instant(
-    count: int, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    count: int, brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    frames = bus.read_log(simulated / "run.blf").frames[: count or None]
+    frames = bus.read_log(brief_recording).frames[: count or None]
     bus.write_log(tmp_path / "run.blf", frames, 0.05)
     change = ("node = 1\n", "node = 9\n") if count == 0 else ("node = 1\n", "node = 1\n")
     arm = example_with(tmp_path / "example", "arm.toml", change)
@@ -487,18 +487,18 @@ def test_check_of_a_run_without_an_instant(
     assert "fault counters" in said.out
 
 
-@pytest.mark.parametrize("noise", ["--noise", "--no-noise"])
 @pytest.mark.parametrize(
-    "changes",
+    ("noise", "changes"),
     [
-        [("gain = 1.0", "gain = 0.0")],
-        [("amplitude_rad = 0.9", "amplitude_rad = 0.0"), ("amplitude_rad = 0.8", "amplitude_rad = 0.0")],
+        ("--noise", [("gain = 1.0", "gain = 0.0")]),
+        ("--no-noise", [(f"amplitude_rad = {size}", "amplitude_rad = 0.0") for size in (0.9, 0.8)]),
     ],
 )
 def test_a_run_at_rest_is_undecided(
     noise: str, changes: Sequence[tuple[str, str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scenario = example_with(tmp_path / "example", "scenario.toml", *changes)
+    short = ("duration_s = 60.0", "duration_s = 10.0")
+    scenario = example_with(tmp_path / "example", "scenario.toml", short, *changes)
     log = tmp_path / "run.blf"
     assert run("simulate", scenario, "-o", log, noise) == 0
     assert run("estimate", log, "-o", tmp_path / "m.toml") == 3
@@ -517,14 +517,14 @@ def listen(channel: str, folder: Path, *more: object) -> int:
 
 @pytest.mark.parametrize("which", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_listening_and_keeps_what_was_learned(
-    which: signal.Signals, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    which: signal.Signals, brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def unheard(*_: object) -> None:
         raise AssertionError("the signal was not taken")
 
     before = signal.signal(which, unheard)
     try:
-        with playing(f"test_{which}", simulated / "run.blf", 0.05, lambda: os.kill(os.getpid(), which)):
+        with playing(f"test_{which}", brief_recording, 0.05, lambda: os.kill(os.getpid(), which)):
             begin = time.monotonic()
             assert listen(f"test_{which}", tmp_path, "--idle", 60) == 0
         assert time.monotonic() - begin < 20
@@ -533,10 +533,10 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
         signal.signal(which, before)
     assert "stopped" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["live.log", "live.toml"]
-    assert bus.read_log(tmp_path / "live.log").frames.tobytes() == bus.read_log(simulated / "run.blf").frames.tobytes()
+    assert bus.read_log(tmp_path / "live.log").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
 
 
-def test_the_heartbeat_of_others_does_not_keep_it_listening(simulated: Path, tmp_path: Path) -> None:
+def test_the_heartbeat_of_others_does_not_keep_it_listening(brief_recording: Path, tmp_path: Path) -> None:
     done = threading.Event()
 
     other = bus.open_bus("virtual", "test_beat")
@@ -549,7 +549,7 @@ def test_the_heartbeat_of_others_does_not_keep_it_listening(simulated: Path, tmp
     beating = threading.Thread(target=beat)
     beating.start()
     try:
-        with playing("test_beat", simulated / "run.blf", 0.05):
+        with playing("test_beat", brief_recording, 0.05):
             assert listen("test_beat", tmp_path, "--idle", 1, "--duration", 40) == 0
         begin = time.monotonic()
         assert listen("test_beat", tmp_path, "--idle", 0.1, "--duration", 40) == 3
@@ -560,7 +560,7 @@ def test_the_heartbeat_of_others_does_not_keep_it_listening(simulated: Path, tmp
 
 
 def test_a_bus_that_fails_while_listening(
-    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    brief_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from can.interfaces.virtual import VirtualBus
 
@@ -573,7 +573,7 @@ def test_a_bus_that_fails_while_listening(
         return receive(self, timeout)
 
     monkeypatch.setattr(VirtualBus, "_recv_internal", failing)
-    with playing("test_down", simulated / "run.blf", 0.05, down.set):
+    with playing("test_down", brief_recording, 0.05, down.set):
         assert listen("test_down", tmp_path, "--idle", 60) == 3
     said = capsys.readouterr()
     assert "Network is down" in said.err
@@ -582,13 +582,13 @@ def test_a_bus_that_fails_while_listening(
 
 
 def test_a_log_that_fails_does_not_lose_the_estimate(
-    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    brief_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(can.CanutilsLogWriter, "on_message_received", full)
-    with playing("test_full", simulated / "run.blf", 0.05):
+    with playing("test_full", brief_recording, 0.05):
         assert listen("test_full", tmp_path, "--idle", 2) == 2
     said = capsys.readouterr()
     assert "live.log: cannot be written (No space left" in said.err
@@ -639,7 +639,7 @@ def test_a_bus_that_takes_no_frames(
 
     monkeypatch.setattr(VirtualBus, "send", down)
     log = tmp_path / "run.blf"
-    assert run("simulate", EXAMPLE / "scenario.toml", "-o", log, "-i", "virtual", "-c", "x") == 2
+    assert run("simulate", lasting(tmp_path / "example", 1.0), "-o", log, "-i", "virtual", "-c", "x") == 2
     assert f"(Network is down); {log} is written; remedy" in capsys.readouterr().err
     assert log.is_file()
 

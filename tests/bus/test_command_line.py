@@ -103,17 +103,14 @@ def test_bash_completes() -> None:
     assert done.stdout.splitlines() == list(cases.values())
 
 
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of 20 s, and its arm file."""
-    folder = tmp_path_factory.mktemp("run")
-    shutil.copytree(EXAMPLE, folder / "example")
-    scenario = folder / "example" / "scenario.toml"
+@pytest.fixture
+def brief_scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scenario of a copy of the example that lasts 20 s."""
+    scenario = shutil.copytree(EXAMPLE, tmp_path_factory.mktemp("example") / "example") / "scenario.toml"
     text = scenario.read_text()
     assert "duration_s = 60.0" in text
     scenario.write_text(text.replace("duration_s = 60.0", "duration_s = 20.0"))
-    assert run("simulate", scenario, "-o", folder / "run.blf") == 0
-    return folder
+    return scenario
 
 
 @pytest.fixture
@@ -129,18 +126,18 @@ def stdin(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], None]:
 @pytest.mark.slow(only=[".mf4"])
 @pytest.mark.parametrize("kind", [".blf", ".log", ".asc", ".trc", ".mf4", ".npz", ".csv", ".parquet"])
 def test_a_run_comes_on_standard_input(
-    kind: str, simulated: Path, tmp_path: Path, stdin: Callable[[bytes], None], monkeypatch: pytest.MonkeyPatch
+    kind: str, brief_recording: Path, tmp_path: Path, stdin: Callable[[bytes], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever its kind, which is seen from how it begins; the arm file is then that of the current folder."""
-    file, arm = tmp_path / f"run{kind}", load_arm(simulated / "arm.toml")
-    frames = bus.read_log(simulated / "run.blf").frames
+    file, arm = tmp_path / f"run{kind}", load_arm(brief_recording.with_name("arm.toml"))
+    frames = bus.read_log(brief_recording).frames
     if kind in TABLE_SUFFIXES:
         trace = Flight(arm).frames(frames, trace=True)
         assert trace is not None
         write_cycles(file, trace.cycles)
     else:
         bus.write_log(file, frames, arm.period_s)
-    monkeypatch.chdir(simulated)
+    monkeypatch.chdir(brief_recording.parent)
     run("estimate", file, "--arm", "arm.toml", "-o", tmp_path / "named.toml", "--json", tmp_path / "named.json")
     stdin(file.read_bytes())
     run("estimate", "-", "-o", tmp_path / "piped.toml", "--json", tmp_path / "piped.json")
@@ -161,14 +158,14 @@ def test_standard_input_that_is_no_run(
 
 @pytest.mark.slow
 def test_every_kind_of_file_comes_on_standard_input(
-    simulated: Path,
+    brief_scenario: Path,
     tmp_path: Path,
     stdin: Callable[[bytes], None],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Arm, model, scenario, DBC, map, answers, URDF, with the result that the file by its name gives."""
-    monkeypatch.chdir(simulated / "example")
+    monkeypatch.chdir(brief_scenario.parent)
     telemetry, urdf = ROOT / "examples" / "telemetry", ROOT / "examples" / "urdf"
     model, out = EXAMPLE / "model.toml", tmp_path / "out"
     arm = EXAMPLE / "arm.toml"
@@ -178,7 +175,7 @@ def test_every_kind_of_file_comes_on_standard_input(
         (["dbc", "-o", out / "arm.dbc", "--arm"], arm),
         (["dbc", "--arm", arm, "-o", out / "arm.dbc", "--model"], model),
         (["bus-load", "--json", out / "load.json", "--arm"], arm),
-        (["simulate", "-o", out / "run.blf"], simulated / "example" / "scenario.toml"),
+        (["simulate", "-o", out / "run.blf"], brief_scenario),
         (["simulate", "scenario.toml", "-o", out / "run.blf", "--model"], model),
         ([*convert, "--map", maps, "--dbc"], telemetry / "arm.dbc"),
         ([*convert, "--dbc", telemetry / "arm.dbc", "--map"], maps),
@@ -205,8 +202,8 @@ def test_only_one_file_comes_on_standard_input(tmp_path: Path, capsys: pytest.Ca
     assert "standard input more than once" in capsys.readouterr().err
 
 
-def test_only_one_file_goes_to_standard_output(simulated: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("estimate", simulated / "run.blf", "-o", "-", "--json", "-") == 2
+def test_only_one_file_goes_to_standard_output(brief_recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("estimate", brief_recording, "-o", "-", "--json", "-") == 2
     said = capsys.readouterr()
     assert "standard output more than once" in said.err
     assert said.out == ""
@@ -223,10 +220,10 @@ def test_only_one_file_goes_to_standard_output(simulated: Path, capsys: pytest.C
     ],
 )
 def test_standard_output_has_the_file_and_nothing_else(
-    arguments: Sequence[object], option: str, suffix: str, simulated: Path, tmp_path: Path,
+    arguments: Sequence[object], option: str, suffix: str, brief_recording: Path, tmp_path: Path,
     capfdbinary: pytest.CaptureFixture[bytes],
 ) -> None:  # fmt: skip
-    given = [str(part).format(run=simulated / "run.blf", out=tmp_path) for part in arguments]
+    given = [str(part).format(run=brief_recording, out=tmp_path) for part in arguments]
     assert run(*given, option, tmp_path / f"file{suffix}") == 0
     assert capfdbinary.readouterr().out
     assert run(*given, option, "-") == 0
@@ -234,15 +231,17 @@ def test_standard_output_has_the_file_and_nothing_else(
 
 
 @pytest.mark.slow
-def test_a_pipe_from_the_plant_to_the_estimate(simulated: Path, tmp_path: Path) -> None:
+def test_a_pipe_from_the_plant_to_the_estimate(brief_scenario: Path, tmp_path: Path) -> None:
     """candump's lines on the way; no file is written."""
-    zygos, arm = [sys.executable, "-m", "zygos.cli"], str(simulated / "arm.toml")
-    command = [*zygos, "simulate", str(simulated / "example" / "scenario.toml"), "-o", "-"]
+    zygos, arm = [sys.executable, "-m", "zygos.cli"], str(EXAMPLE / "arm.toml")
+    command = [*zygos, "simulate", str(brief_scenario), "-o", "-"]
     log = subprocess.run(command, cwd=tmp_path, capture_output=True, check=True).stdout
     assert re.match(rb"\(\d+\.\d+\) can0 080#[0-9A-F]{2}", log)
     command = [*zygos, "estimate", "-", "--arm", arm, "-o", "-"]
     done = subprocess.run(command, cwd=tmp_path, input=log, capture_output=True, check=True)
-    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "m.toml") == 0
+    recording = brief_scenario.with_name("run.blf")
+    assert run("simulate", brief_scenario, "-o", recording) == 0
+    assert run("estimate", recording, "-o", tmp_path / "m.toml") == 0
     assert done.stdout == (tmp_path / "m.toml").read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["m.toml"]
 
@@ -290,10 +289,10 @@ def no_work(*_: object, **__: object) -> None:
 @pytest.mark.parametrize("wrong", ["a folder", "below a file", "no folder for files"])
 @pytest.mark.parametrize(("arguments", "option", "suffix"), OUTPUTS)
 def test_an_output_that_cannot_be_written_is_noticed_before_the_work(
-    arguments: Sequence[object], option: str, suffix: str, wrong: str, simulated: Path, tmp_path: Path,
+    arguments: Sequence[object], option: str, suffix: str, wrong: str, brief_recording: Path, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    given = [str(part).format(run=simulated / "run.blf", out=tmp_path / "out") for part in arguments]
+    given = [str(part).format(run=brief_recording, out=tmp_path / "out") for part in arguments]
     (tmp_path / "file").write_text("")
     (tmp_path / f"folder{suffix}").mkdir()
     # /proc takes no files, whoever asks: neither permissions nor the user's number say so
@@ -310,13 +309,9 @@ def test_an_output_that_cannot_be_written_is_noticed_before_the_work(
 
 @pytest.mark.parametrize(("how", "code"), [("Ctrl-C", 130), ("SIGTERM", 143), ("an error", 2)])
 def test_work_that_does_not_end_leaves_nothing(
-    how: str,
-    code: int,
-    simulated: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    how: str, code: int, brief_scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     before = signal.getsignal(signal.SIGTERM)
 
     def interrupted(*_: object, **__: object) -> None:
@@ -326,7 +321,7 @@ def test_work_that_does_not_end_leaves_nothing(
         time.sleep(10)
 
     monkeypatch.setattr("can.BLFWriter.on_message_received", interrupted)
-    assert run("simulate", simulated / "example" / "scenario.toml", "-o", tmp_path / "run.blf") == code
+    assert run("simulate", brief_scenario, "-o", tmp_path / "run.blf") == code
     assert list(tmp_path.iterdir()) == []
     assert "Traceback" not in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) is before

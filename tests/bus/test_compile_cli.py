@@ -43,8 +43,9 @@ def compiled(folder: Path, compiler: str, *flags: str) -> subprocess.CompletedPr
     return subprocess.run([*command, "-o", str(folder / "program")], capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("example", ["paper", "spatial", "seven"])
+@pytest.mark.parametrize(
+    ("example", "compiler"), [("paper", "gcc"), ("spatial", "clang"), ("seven", "g++"), ("spatial", "clang++")]
+)
 def test_header_blob_and_harness_have_the_same_bits(example: str, compiler: str, tmp_path: Path) -> None:
     arm_file = ROOT / "examples" / example / "arm.toml"
     assert run("compile-model", arm_file, "-o", tmp_path) == 0

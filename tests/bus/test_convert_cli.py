@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -70,7 +69,12 @@ def spread(arm: Arm, cycles: Cycles, sizes: dict[str, float], seeds: int = 12) -
 
 @pytest.fixture(scope="module")
 def cycles(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
-    return trajectory_of(arm, model, scenario, seeds=[3], noise=True).cycles()
+    """The first 30 s of the example."""
+    return every(trajectory_of(arm, model, scenario, seeds=[3], noise=True).cycles(), slice(600))
+
+
+def every(cycles: Cycles, which: slice) -> Cycles:
+    return Cycles(*(getattr(cycles, name)[which] for name in Cycles.__dataclass_fields__))
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +82,13 @@ def log(cycles: Cycles, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run as a stranger would record it; the counter starts close before its wrap."""
     folder = tmp_path_factory.mktemp("foreign")
     return foreign.write(folder / "my.blf", foreign.messages(cycles, steady, first_count=65_000))
+
+
+@pytest.fixture(scope="module")
+def brief_log(cycles: Cycles, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first 7.5 s of it."""
+    folder = tmp_path_factory.mktemp("brief")
+    return foreign.write(folder / "my.blf", foreign.messages(every(cycles, slice(150)), steady, first_count=65_000))
 
 
 def test_a_log_with_a_counter_gives_the_native_estimate(arm: Arm, cycles: Cycles, log: Path, tmp_path: Path) -> None:
@@ -88,7 +99,7 @@ def test_a_log_with_a_counter_gives_the_native_estimate(arm: Arm, cycles: Cycles
     assert body == (EXAMPLE / "arm.toml").read_text()
     assert run("estimate", tmp_path / "run.blf", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     content = json.loads((tmp_path / "m.json").read_text())
-    assert (content["door"], content["cycles"]) == ("frames", 1200)
+    assert (content["door"], content["cycles"]) == ("frames", 600)
     values = np.array([parameter["value"] for parameter in content["parameters"]])
     wire = {"q": 6e-6, "theta": 6e-6, "tau": 1e-4, "omega": 2.0**-21}
     both = {name: math.hypot(foreign.STEPS[name], wire[name]) for name in wire}
@@ -96,7 +107,7 @@ def test_a_log_with_a_counter_gives_the_native_estimate(arm: Arm, cycles: Cycles
     assert np.all(np.abs(values - own) < 5.0 * spread(arm, cycles, both))
     assert np.all(np.abs(values / own - 1.0) < 1e-3)
     report = json.loads((tmp_path / "c.json").read_text())
-    assert (report["cycles"], report["breaks"], report["time"], report["door"]) == (1200, 0, "sync", "frames")
+    assert (report["cycles"], report["breaks"], report["time"], report["door"]) == (600, 0, "sync", "frames")
     shoulder = report["signals"][0]
     assert (shoulder["signal"], shoulder["from"]) == ("shoulder.link", "Drive1Position.Link")
     assert shoulder["largest"] == pytest.approx(cycles.q[:, 0].max(), abs=1e-5)
@@ -259,28 +270,28 @@ def test_a_time_in_the_telemetry_goes_before_the_stamps(arm: Arm, cycles: Cycles
 def test_lost_messages_break_the_run_and_nothing_else(arm: Arm, cycles: Cycles, tmp_path: Path) -> None:
     """A hole of 130 cycles (longer than a receiver waits for FTIME), one lost frame, and one that came twice."""
     whole = foreign.messages(cycles, steady, first_count=65_000)
-    kept = [m for m in whole if not 20.0 < m.timestamp < 26.499]
-    lost = next(m for m in kept if m.arbitration_id == 785 and m.timestamp > 10.0)
-    twice = next(m for m in kept if m.arbitration_id == 786 and m.timestamp > 40.0)
+    kept = [m for m in whole if not 10.0 < m.timestamp < 16.499]
+    lost = next(m for m in kept if m.arbitration_id == 785 and m.timestamp > 5.0)
+    twice = next(m for m in kept if m.arbitration_id == 786 and m.timestamp > 20.0)
     kept = [m for m in kept if m is not lost]
     kept.insert(kept.index(twice), twice)
-    short = can.Message(timestamp=50.001, arbitration_id=785, is_extended_id=False, data=[1, 2])
-    kept.insert(next(k for k, m in enumerate(kept) if m.timestamp > 50.001), short)
+    short = can.Message(timestamp=25.001, arbitration_id=785, is_extended_id=False, data=[1, 2])
+    kept.insert(next(k for k, m in enumerate(kept) if m.timestamp > 25.001), short)
     source = foreign.write(tmp_path / "my.asc", kept)
     assert convert(source, tmp_path / "run.blf", "--json", tmp_path / "c.json") == 0
     report = json.loads((tmp_path / "c.json").read_text())
-    assert (report["cycles"], report["breaks"], report["damaged_frames"]) == (1200 - 130 - 2, 3, 1)
+    assert (report["cycles"], report["breaks"], report["damaged_frames"]) == (600 - 130 - 2, 3, 1)
     assert report["left_out"] == {"incomplete cycles": 2, "repeated cycles": 1}
     assert "1 frame could not be decoded" in report["warnings"][0]
     flight = Flight(arm)
     trace = flight.frames(bus.read_log(tmp_path / "run.blf").frames, trace=True)
     assert trace is not None
     assert flight.faults["time_lost"] == flight.faults["time_jumped"] == 0
-    away = set(range(1200)) - set(trace.cycles.sync.astype(int).tolist())
-    gone = {round(m.timestamp / 0.05 - 0.01) for m in whole if 20.0 < m.timestamp < 26.499}
+    away = set(range(600)) - set(trace.cycles.sync.astype(int).tolist())
+    gone = {round(m.timestamp / 0.05 - 0.01) for m in whole if 10.0 < m.timestamp < 16.499}
     assert len(away) == 132
     assert len(gone & away) == 130
-    assert np.max(np.abs(trace.cycles.q - cycles.q[sorted(set(range(1200)) - away)])) < 1e-5
+    assert np.max(np.abs(trace.cycles.q - cycles.q[sorted(set(range(600)) - away)])) < 1e-5
 
 
 @pytest.mark.slow
@@ -300,7 +311,7 @@ def test_a_recording_that_is_too_slow(
     fast = trajectory_of(load_arm(sharp), model, scenario, seeds=[3], noise=True, period_s=0.0125).cycles()
     map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
     for step, needed in ((8, 40.0), (2, None)):
-        picked = Cycles(*(getattr(fast, name)[::step] for name in Cycles.__dataclass_fields__))
+        picked = every(fast, slice(None, None, step))
         h = 0.0125 * step
         source = foreign.write(
             tmp_path / f"{step}.log",
@@ -382,20 +393,11 @@ def test_a_foreign_table_and_the_cycle_door(
 
 
 def test_the_other_commands_refuse_what_they_cannot_take(
-    cycles: Cycles, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cycles: Cycles, brief_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert convert(log, tmp_path / "run.npz") == 0
-    code = run(
-        "explain",
-        "--simulation",
-        EXAMPLE / "model.toml",
-        "--measured",
-        tmp_path / "run.npz",
-        tmp_path / "run.npz",
-        "-o",
-        tmp_path / "n.toml",
-    )
-    assert code == 2
+    assert convert(brief_log, tmp_path / "run.npz") == 0
+    table, out = tmp_path / "run.npz", tmp_path / "n.toml"
+    assert run("explain", "--simulation", EXAMPLE / "model.toml", "--measured", table, table, "-o", out) == 2
     assert "run.npz" in capsys.readouterr().err
     assert run("estimate", tmp_path / "none.npz", "-o", tmp_path / "m.toml") == 2
     assert "none.npz: no such file" in capsys.readouterr().err
@@ -410,7 +412,7 @@ def test_cycles_of_no_use(cycles: Cycles, tmp_path: Path, capsys: pytest.Capture
     write_cycles(tmp_path / "run.npz", replace(cycles, tau=np.full_like(cycles.tau, np.nan)))
     (tmp_path / "arm.toml").write_bytes((EXAMPLE / "arm.toml").read_bytes())
     assert run("estimate", tmp_path / "run.npz", "-o", tmp_path / "m.toml") == 3
-    assert "1,200 cycles invalid, not finite or implausibly large" in capsys.readouterr().err
+    assert "600 cycles invalid, not finite or implausibly large" in capsys.readouterr().err
 
 
 def test_what_the_wire_cannot_carry_is_counted(arm: Arm, cycles: Cycles, tmp_path: Path) -> None:
@@ -458,114 +460,48 @@ def test_a_wrong_unit_of_the_time_is_suspected(
     assert any(message in line for line in json.loads((tmp_path / "c.json").read_text())["warnings"])
 
 
-def test_a_wire_that_is_coarser_than_the_sensor_says_so(log: Path, tmp_path: Path) -> None:
+def test_a_wire_that_is_coarser_than_the_sensor_says_so(brief_log: Path, tmp_path: Path) -> None:
     text = (EXAMPLE / "arm.toml").read_text().replace("quantum_rad = 0.003", "quantum_rad = 1e-6")
     (tmp_path / "arm.toml").write_text(text)
-    convert(log, tmp_path / "a" / "run.log", "--arm", tmp_path / "arm.toml", "--json", tmp_path / "c.json")
+    convert(brief_log, tmp_path / "a" / "run.log", "--arm", tmp_path / "arm.toml", "--json", tmp_path / "c.json")
     said = json.loads((tmp_path / "c.json").read_text())["warnings"]
     assert sum("is coarser than the quantum of 1e-06 rad" in line for line in said) == 4
 
 
-def missing_signal(text: str) -> str:
-    return text.replace("Drive2Position.Motor", "Drive2Position.Motr")
-
-
-REFUSALS: list[tuple[str, Callable[[Path], list[object]], str]] = [
-    ("no DBC", lambda f: ["--map", FOLDER / "map.toml", "-o", f / "r.blf"], "needs the DBC of its bus"),
-    (
-        "DBC that is not there",
-        lambda f: ["--dbc", f / "no.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.blf"],
-        "no.dbc: no such file",
-    ),
-    (
-        "DBC that is none",
-        lambda f: ["--dbc", f / "bad.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.blf"],
-        "bad.dbc: not a readable DBC",
-    ),
-    (
-        "DBC twice",
-        lambda f: [
-            "--dbc",
-            FOLDER / "arm.dbc",
-            "--dbc",
-            FOLDER / "arm.dbc",
-            "--map",
-            FOLDER / "map.toml",
-            "-o",
-            f / "r.blf",
-        ],
-        "message Cycle is also defined in another DBC",
-    ),
-    (
-        "map that is not there",
-        lambda f: [
-            "--dbc",
-            FOLDER / "arm.dbc",
-            "--map",
-            f / "no.toml",
-            "--arm",
-            EXAMPLE / "arm.toml",
-            "-o",
-            f / "r.blf",
-        ],
-        "no.toml: no such file",
-    ),
+DBC, MAP, ARM = ("--dbc", FOLDER / "arm.dbc"), ("--map", FOLDER / "map.toml"), ("--arm", EXAMPLE / "arm.toml")
+OUT = ("-o", "{in}/r.blf")
+REFUSALS: list[tuple[str, tuple[object, ...], str]] = [
+    ("no DBC", (*MAP, *OUT), "needs the DBC of its bus"),
+    ("DBC that is not there", ("--dbc", "{in}/no.dbc", *MAP, *OUT), "no.dbc: no such file"),
+    ("DBC that is none", ("--dbc", "{in}/bad.dbc", *MAP, *OUT), "bad.dbc: not a readable DBC"),
+    ("DBC twice", (*DBC, *DBC, *MAP, *OUT), "message Cycle is also defined in another DBC"),
+    ("map that is not there", (*DBC, "--map", "{in}/no.toml", *ARM, *OUT), "no.toml: no such file"),
     (
         "no arm file",
-        lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", f / "map.toml", "-o", f / "r.blf"],
+        (*DBC, "--map", "{in}/map.toml", *OUT),
         "no such arm file; remedy: give it with --arm, or put arm.toml next to the map",
     ),
-    (
-        "unknown output",
-        lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.dat"],
-        "not a known kind of CAN log",
-    ),
-    (
-        "output that is the input",
-        lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml", "-o", f / "my.blf"],
-        "writing it would replace",
-    ),
+    ("unknown output", (*DBC, *MAP, "-o", "{in}/r.dat"), "not a known kind of CAN log"),
+    ("output that is the input", (*DBC, *MAP, "-o", "{in}/my.blf"), "writing it would replace"),
     (
         "signal that is not in the DBC",
-        lambda f: [
-            "--dbc",
-            FOLDER / "arm.dbc",
-            "--map",
-            f / "typo.toml",
-            "--arm",
-            EXAMPLE / "arm.toml",
-            "-o",
-            f / "r.blf",
-        ],
+        (*DBC, "--map", "{in}/typo.toml", *ARM, *OUT),
         'joint[1].motor: there is no "Drive2Position.Motr" in arm.dbc; remedy: did you mean "Drive2Position.Motor"?',
     ),
     (
         "signal that is not in the log",
-        lambda f: ["--dbc", f / "other.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.blf"],
+        ("--dbc", "{in}/other.dbc", *MAP, *OUT),
         "my.blf has no RateZ.Z; remedy: compare the DBC's identifiers",
     ),
-    (
-        "counter that is not in the log",
-        lambda f: ["--dbc", f / "third.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.blf"],
-        "time: my.blf has no Cycle.Count",
-    ),
+    ("counter that is not in the log", ("--dbc", "{in}/third.dbc", *MAP, *OUT), "time: my.blf has no Cycle.Count"),
     (
         "another period",
-        lambda f: [
-            "--dbc",
-            FOLDER / "arm.dbc",
-            "--map",
-            FOLDER / "map.toml",
-            "--arm",
-            f / "slow.toml",
-            "-o",
-            f / "r.blf",
-        ],
+        (*DBC, *MAP, "--arm", "{in}/slow.toml", *OUT),
         "by the log's time stamps a cycle of Cycle.Count lasts 0.05 s, by the arm file 0.04 s",
     ),
     (
         "another arm beside the run",
-        lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml", "-o", f / "beside" / "r.blf"],
+        (*DBC, *MAP, "-o", "{in}/beside/r.blf"),
         "is not the arm file of this run",
     ),
 ]
@@ -573,16 +509,17 @@ REFUSALS: list[tuple[str, Callable[[Path], list[object]], str]] = [
 
 @pytest.mark.parametrize(("arguments", "message"), [entry[1:] for entry in REFUSALS], ids=[e[0] for e in REFUSALS])
 def test_refusals(
-    log: Path,
+    brief_log: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    arguments: Callable[[Path], list[object]],
+    arguments: tuple[object, ...],
     message: str,
 ) -> None:
     source = tmp_path / "my.blf"
-    source.write_bytes(log.read_bytes())
+    source.write_bytes(brief_log.read_bytes())
     (tmp_path / "map.toml").write_text((FOLDER / "map.toml").read_text())
-    (tmp_path / "typo.toml").write_text(missing_signal((FOLDER / "map.toml").read_text()))
+    typo = ("Drive2Position.Motor", "Drive2Position.Motr")
+    foreign.edited(FOLDER / "map.toml", tmp_path / "typo.toml", typo)
     (tmp_path / "bad.dbc").write_text("BO_ nonsense\n")
     foreign.edited(FOLDER / "arm.dbc", tmp_path / "other.dbc", ("2566848306", "2566848307"))
     foreign.edited(FOLDER / "arm.dbc", tmp_path / "third.dbc", ("BO_ 256 ", "BO_ 257 "))
@@ -590,65 +527,65 @@ def test_refusals(
     (tmp_path / "beside").mkdir()
     (tmp_path / "beside" / "arm.toml").write_bytes((EXAMPLE.parent / "gap" / "arm.toml").read_bytes())
     before = sorted(tmp_path.rglob("*"))
-    assert run("convert", source, *arguments(tmp_path)) == 2
+    assert run("convert", source, *(str(word).replace("{in}", str(tmp_path)) for word in arguments)) == 2
     assert message in capsys.readouterr().err.replace("\n", " ")
     assert sorted(tmp_path.rglob("*")) == before
-    assert source.read_bytes() == log.read_bytes()
+    assert source.read_bytes() == brief_log.read_bytes()
 
 
-def test_a_run_is_replaced_with_its_arm_file(arm: Arm, cycles: Cycles, log: Path, tmp_path: Path) -> None:
+def test_a_run_is_replaced_with_its_arm_file(arm: Arm, cycles: Cycles, brief_log: Path, tmp_path: Path) -> None:
     """Also where the noise of the second conversion is another one, and nothing but the two files is left."""
     out = tmp_path / "out" / "run.npz"
     map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
-    assert convert(log, out) == 0
+    assert convert(brief_log, out) == 0
     exact = read_cycles(out, arm)
-    assert convert(log, out, map_file=map_file) == 0
+    assert convert(brief_log, out, map_file=map_file) == 0
     noisy = load_arm(out.parent / "arm.toml")
     assert noisy.joints[0].torque_sigma > arm.joints[0].torque_sigma
-    assert convert(log, out) == 0
+    assert convert(brief_log, out) == 0
     assert load_arm(out.parent / "arm.toml") == arm
     np.testing.assert_array_equal(read_cycles(out, arm).q, exact.q)
     assert sorted(path.name for path in out.parent.iterdir()) == ["arm.toml", "run.npz"]
 
 
 def test_runs_beside_each_other_need_the_same_noise(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    brief_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
-    assert convert(log, out / "a.npz") == 0
-    assert convert(log, out / "b.blf") == 0
+    assert convert(brief_log, out / "a.npz") == 0
+    assert convert(brief_log, out / "b.blf") == 0
     assert "for a.npz, b.blf;" in (out / "arm.toml").read_text()
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    assert convert(log, out / "b.blf", map_file=map_file) == 2
+    assert convert(brief_log, out / "b.blf", map_file=map_file) == 2
     said = capsys.readouterr().err.replace("\n", " ")
     assert "is the arm file of a.npz, whose noise is not that of this run; remedy: write each run into a folder" in said
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     (out / "a.npz").unlink()
-    assert convert(log, out / "b.blf", map_file=map_file) == 0
+    assert convert(brief_log, out / "b.blf", map_file=map_file) == 0
     assert "for b.blf;" in (out / "arm.toml").read_text()
 
 
-def test_an_arm_file_of_the_user_is_not_replaced(log: Path, tmp_path: Path) -> None:
+def test_an_arm_file_of_the_user_is_not_replaced(brief_log: Path, tmp_path: Path) -> None:
     """Not where it says what the run needs, and not where it is the input."""
     out = tmp_path / "out"
     out.mkdir()
     text = (EXAMPLE / "arm.toml").read_text()
     (out / "arm.toml").write_text(text)
     map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
-    assert convert(log, out / "run.blf") == 0
-    assert convert(log, out / "run.blf", "--arm", out / "arm.toml") == 0
-    assert convert(log, out / "other.blf", "--arm", out / "arm.toml", map_file=map_file) == 2
+    assert convert(brief_log, out / "run.blf") == 0
+    assert convert(brief_log, out / "run.blf", "--arm", out / "arm.toml") == 0
+    assert convert(brief_log, out / "other.blf", "--arm", out / "arm.toml", map_file=map_file) == 2
     assert (out / "arm.toml").read_text() == text
     assert sorted(path.name for path in out.iterdir()) == ["arm.toml", "run.blf"]
 
 
 @pytest.mark.parametrize("fails", ["write_cycles", "write_text"])
 def test_a_conversion_that_cannot_be_written_changes_nothing(
-    fails: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    fails: str, brief_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out" / "run.npz"
-    assert convert(log, out) == 0
+    assert convert(brief_log, out) == 0
     before = {path.name: path.read_bytes() for path in out.parent.iterdir()}
 
     def full(*_: object) -> None:
@@ -656,7 +593,7 @@ def test_a_conversion_that_cannot_be_written_changes_nothing(
 
     monkeypatch.setattr(f"zygos.telemetry.convert.{fails}", full)
     map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
-    assert convert(log, out, map_file=map_file) == 2
+    assert convert(brief_log, out, map_file=map_file) == 2
     assert "cannot be written (No space left on device)" in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in out.parent.iterdir()} == before
 

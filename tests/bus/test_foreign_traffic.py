@@ -196,14 +196,13 @@ def estimated(path: Path, folder: Path) -> dict[str, Any]:
     return answer
 
 
-@pytest.mark.slow(but=[".log"])
-@pytest.mark.parametrize("suffix", bus.LOG_SUFFIXES)
-def test_on_the_command_line(suffix: str, arm: Arm, ours: Log, strangers: Log, tmp_path: Path) -> None:
+def test_on_the_command_line(arm: Arm, ours: Log, strangers: Log, tmp_path: Path) -> None:
     """The same from our frames alone, among strangers, and but for the fault counters among impostors."""
-    path = tmp_path / f"run{suffix}"
+    path = tmp_path / "run.log"
     bus.write_log(path, ours, arm.period_s)
     alone = estimated(path, tmp_path)
     assert set(alone["faults"].values()) == {0}
+    strangers = strangers[::4]
     bus.write_log(path, mixed(ours, strangers, 0)[0], arm.period_s)
     assert estimated(path, tmp_path) == alone
     impostors, named = renamed(strangers, arm, 0, [identifier for identifier in identifiers(arm) if identifier != SYNC])

@@ -21,17 +21,16 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two runs as CAN logs, a third as a table, one with a payload, and the true model."""
+    """Two runs of two joints as CAN logs, a third one in both forms, and the true model."""
     folder = tmp_path_factory.mktemp("ground")
-    arm, model = short_arm()
+    arm, model = short_arm(2)
     save_arm(arm, folder / "arm.toml")
     save_model(model, folder / "true.toml")
-    save_run(recorded(arm, model, path=0, seed=0, offset=0.01), folder / "a.blf")
-    save_run(recorded(arm, model, path=1, seed=1, offset=-0.02), folder / "b.log")
-    third = recorded(arm, model, path=2, seed=2)
+    save_run(recorded(arm, model, path=0, seed=0, offset=0.01, seconds=8.0), folder / "a.blf")
+    save_run(recorded(arm, model, path=1, seed=1, offset=-0.02, seconds=8.0), folder / "b.log")
+    third = recorded(arm, model, path=2, seed=2, seconds=8.0)
     save_run(third, folder / "c.npz")
     save_run(third, folder / "c.blf")
-    save_run(recorded(arm, heavier(model, 2.0, (0.0, 0.05, 0.1)), path=1, seed=3), folder / "loaded.blf")
     return folder
 
 
@@ -61,7 +60,7 @@ def test_tables_and_logs_give_the_same_answer(folder: Path, capsys: pytest.Captu
 CONTRADICTIONS = [
     (lambda arm: replace(arm, gravity=(0.0, 0.0, 9.81)), "gravity is"),
     (lambda arm: replace(arm, period_s=2.0 * arm.period_s), "period_s is"),
-    (lambda arm: replace(arm, joints=arm.joints[:-1]), "number of joints is 2, not 3"),
+    (lambda arm: replace(arm, joints=arm.joints[:-1]), "number of joints is 1, not 2"),
     (
         lambda arm: replace(arm, joints=(replace(arm.joints[0], gear_ratio=7.0), *arm.joints[1:])),
         r"joints\[0\].gear_ratio is 7.0, not",
@@ -74,7 +73,7 @@ CONTRADICTIONS = [
                 replace(arm.joints[-1], motor_encoder=replace(arm.joints[-1].motor_encoder, sign=-1)),
             ),
         ),
-        r"joints\[2\].motor_encoder.sign is -1, not 1",
+        r"joints\[1\].motor_encoder.sign is -1, not 1",
     ),
 ]
 
@@ -89,46 +88,34 @@ def test_arm_files_that_contradict_each_other_are_refused(
     change: Callable[[Arm], Arm],
     said: str,
 ) -> None:
-    """With --arm, one file is that of all runs."""
-    save_arm(change(short_arm()[0]), tmp_path / "arm.toml")
+    save_arm(change(short_arm(2)[0]), tmp_path / "arm.toml")
     (tmp_path / "b.log").write_bytes((folder / "b.log").read_bytes())
-    model = folder / "true.toml"
+    model, runs = folder / "true.toml", (folder / "a.blf", tmp_path / "b.log")
     words = {
-        "estimate": ("estimate", folder / "a.blf", tmp_path / "b.log", "-o", tmp_path / "m.toml"),
-        "predict": ("predict", folder / "a.blf", tmp_path / "b.log", "--model", model),
-        "explain": (
-            "explain",
-            "--simulation",
-            model,
-            "--measured",
-            folder / "a.blf",
-            tmp_path / "b.log",
-            "-o",
-            tmp_path / "m.toml",
-        ),
+        "estimate": (*runs, "-o", tmp_path / "m.toml"),
+        "predict": (*runs, "--model", model),
+        "explain": ("--simulation", model, "--measured", *runs, "-o", tmp_path / "m.toml"),
     }[command]
-    assert run(*words) == 2
+    assert run(command, *words) == 2
     error = capsys.readouterr().err
     assert re.search(f"{re.escape(str(tmp_path / 'arm.toml'))} is of another arm than .*: {said}", error)
     assert "--arm" in error
-    if command == "predict":
-        assert run(*words, "--arm", folder / "arm.toml", "--json", tmp_path / "p.json") == 0
 
 
-def test_each_run_has_the_noise_that_is_declared_beside_it(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arm, _ = short_arm()
+def test_each_run_has_the_noise_that_is_declared_beside_it(folder: Path, tmp_path: Path) -> None:
+    """With --arm, one file is that of all runs."""
+    arm, _ = short_arm(2)
     louder = replace(arm, name="other", joints=tuple(replace(j, torque_sigma=4.0 * j.torque_sigma) for j in arm.joints))
     save_arm(louder, tmp_path / "arm.toml")
     (tmp_path / "b.log").write_bytes((folder / "b.log").read_bytes())
-    assert run("predict", folder / "b.log", "--model", folder / "true.toml", "--json", tmp_path / "1.json") == 0
-    assert run("predict", folder / "a.blf", tmp_path / "b.log", "--model", folder / "true.toml", "--json",
-               tmp_path / "2.json") == 0  # fmt: skip
-    one = json.loads((tmp_path / "1.json").read_text())["runs"][0]
-    other = json.loads((tmp_path / "2.json").read_text())["runs"][1]
-    assert other["joints"][0]["sigmas"] == pytest.approx(one["joints"][0]["sigmas"] / 4.0, rel=0.02)
-    assert other["joints"][0]["error_nm"] == pytest.approx(one["joints"][0]["error_nm"], rel=1e-9)
+    runs, scores = (folder / "a.blf", tmp_path / "b.log"), []
+    for more in ((), ("--arm", folder / "arm.toml")):
+        given = ("--model", folder / "true.toml", "--json", tmp_path / "scores.json", *more)
+        assert run("predict", *runs, *given) == 0
+        scores.append(json.loads((tmp_path / "scores.json").read_text())["runs"][1]["joints"][0])
+    beside, declared = scores
+    assert beside["sigmas"] == pytest.approx(declared["sigmas"] / 4.0, rel=0.02)
+    assert beside["error_nm"] == pytest.approx(declared["error_nm"], rel=1e-9)
 
 
 def test_a_recording_is_given_once(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -137,14 +124,20 @@ def test_a_recording_is_given_once(folder: Path, tmp_path: Path, capsys: pytest.
     assert not (tmp_path / "m.toml").exists()
 
 
-def test_a_payload_and_none(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, file = folder / "loaded.toml", folder / "payload.json"
-    assert run("estimate", folder / "loaded.blf", "--since", folder / "true.toml", "-o", out, "--json", file) == 0
+def test_a_payload_and_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arm, model = short_arm(3)
+    save_arm(arm, tmp_path / "arm.toml")
+    save_model(model, tmp_path / "true.toml")
+    save_run(recorded(arm, model, path=0, seed=0, offset=0.01, seconds=8.0), tmp_path / "a.blf")
+    payload = heavier(model, 2.0, (0.0, 0.05, 0.1))
+    save_run(recorded(arm, payload, path=1, seed=3, seconds=8.0), tmp_path / "loaded.blf")
+    out, file = tmp_path / "loaded.toml", tmp_path / "payload.json"
+    assert run("estimate", tmp_path / "loaded.blf", "--since", tmp_path / "true.toml", "-o", out, "--json", file) == 0
     found = {one["name"]: one for one in json.loads(file.read_text())["parameters"]}
     assert abs(found["m3"]["value"] - 2.0) < 4.0 * found["m3"]["sigma"]
     assert out.exists()
-    again = folder / "none.toml"
-    assert run("estimate", folder / "a.blf", "--since", folder / "true.toml", "-o", again) == 3
+    again = tmp_path / "none.toml"
+    assert run("estimate", tmp_path / "a.blf", "--since", tmp_path / "true.toml", "-o", again) == 3
     assert "no payload" in capsys.readouterr().err
     assert not again.exists()
 

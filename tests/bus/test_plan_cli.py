@@ -25,8 +25,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     arm, model = random_arm(3, 2, "fixed", "planar", False)
     save_arm(replace(arm, period_s=0.01), folder / "arm.toml")
     save_model(model, folder / "model.toml")
-    assert plan(folder, "--rate", "1.5", "-o", folder / "planned.toml", "--json", folder / "plan.json",
-                "--report", folder / "plan.html") == 0  # fmt: skip
+    written = ("-o", folder / "planned.toml", "--json", folder / "plan.json", "--report", folder / "plan.html")
+    assert plan(folder, "--rate", "1.5", "--period", "4", "--harmonics", "3", *written) == 0
     return folder
 
 
@@ -130,16 +130,13 @@ def test_the_bound_of_what_has_none_is_refused(folder: Path, springs: Path, caps
     ("more", "words"),
     [
         (("-o", "{out}/p.toml", "--rate", "wrist=1"), "no joint 'wrist'"),
-        (("-o", "{out}/p.toml", "--torque", "0.001"), "no motion within the limits was found"),
+        (
+            ("-o", "{out}/p.toml", "--torque", "0.001", "--period", "2", "--harmonics", "3"),
+            "no motion within the limits was found",
+        ),
         (("-o", "{out}/p.toml", "--duration", "15"), "not a whole number of periods"),
         (("-o", "{out}/p.toml", "--candidates"), "only ranks"),
-        (
-            (
-                "-o",
-                "{out}/p.txt",
-            ),
-            "not a name for a model",
-        ),
+        (("-o", "{out}/p.txt"), "not a name for a model"),
         (("{in}/planned.toml", "--rate", "0.5"), "beyond its limit of 0.5 rad/s"),
         ((), "there is nothing to do"),
         ((EXAMPLE / "scenario.toml",), "the manoeuvre has joints"),

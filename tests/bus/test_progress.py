@@ -4,56 +4,69 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
+import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from cli_support import run
 from rich.progress import Task
 
 from conftest import ROOT
-from zygos.cli import main
 from zygos.files import progress as lines
 from zygos.files.progress import progress
+from zygos.simulation.plant import simulate
 
 PAPER = ROOT / "examples" / "paper" / "scenario.toml"
 LINE = re.compile(r"simulating · (\d+) % · (\d+):(\d\d):(\d\d) elapsed( · about \d+:\d\d:\d\d left)?")
 
-IMPATIENT = """
-import sys
-from zygos.files import progress as lines
-from zygos.cli import main
-lines.FIRST_S, lines.EVERY_S = 0.1, 0.2
-main(sys.argv[1:])
-"""
+
+def seconds_of(folder: Path, duration_s: int) -> Path:
+    """The scenario of a copy of the paper's example that lasts so long."""
+    shutil.copytree(PAPER.parent, folder)
+    path = folder / PAPER.name
+    path.write_text(re.sub(r"^duration_s = .*$", f"duration_s = {duration_s}", PAPER.read_text(), flags=re.M))
+    return path
 
 
-def in_a_pipe(program: list[str], *arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *program, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lines, "FIRST_S", 1e-3)
+    monkeypatch.setattr(lines, "EVERY_S", 2e-3)
 
 
-def test_a_long_simulation_says_how_far_it_is(tmp_path: Path) -> None:
-    done = in_a_pipe(["-c", IMPATIENT], "simulate", PAPER, "-o", tmp_path / "run.blf", "--json", "-")
-    said = [match for match in map(LINE.fullmatch, done.stderr.splitlines()) if match]
-    assert len(said) >= 2, done.stderr
-    assert len(said) == len(done.stderr.splitlines())
+def test_a_long_simulation_says_how_far_it_is(
+    impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def simulated(*arguments: Any, progress: Callable[[float], None], **options: Any) -> Any:
+        """Takes its time: a step of the progress lasts 10 ms."""
+
+        def slowly(share: float) -> None:
+            progress(share)
+            time.sleep(0.01)
+
+        return simulate(*arguments, progress=slowly, **options)
+
+    monkeypatch.setattr("zygos.cli.simulate.simulate", simulated)
+    scenario = seconds_of(tmp_path / "example", 5)
+    assert run("simulate", scenario, "-o", tmp_path / "run.blf", "--json", "-") == 0
+    out, error = capfd.readouterr()
+    said = [match for match in map(LINE.fullmatch, error.splitlines()) if match]
+    assert len(said) >= 2, error
+    assert len(said) == len(error.splitlines())
     shares = [int(match[1]) for match in said]
     assert shares == sorted(shares) and shares[0] < shares[-1] <= 100
     assert said[-1][5]
-    assert json.loads(done.stdout)["run"] == str(tmp_path / "run.blf")
+    assert json.loads(out)["run"] == str(tmp_path / "run.blf")
 
 
-def test_a_short_one_says_nothing(tmp_path: Path) -> None:
-    scenario = tmp_path / "scenario.toml"
-    text = re.sub(r"^duration_s = .*$", "duration_s = 1", PAPER.read_text(), flags=re.M)
-    for name in ("arm.toml", "model.toml"):
-        (tmp_path / name).write_text((PAPER.parent / name).read_text())
-    scenario.write_text(text)
-    done = in_a_pipe(["-m", "zygos.cli"], "simulate", scenario, "-o", tmp_path / "run" / "run.blf")
-    assert done.stderr == ""
-    assert "20 cycles" in done.stdout
+def test_a_short_one_says_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run("simulate", seconds_of(tmp_path / "example", 1), "-o", tmp_path / "run.blf") == 0
+    out, error = capfd.readouterr()
+    assert error == ""
+    assert "20 cycles" in out
 
 
 def test_what_fails_ends_at_once(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
@@ -90,14 +103,9 @@ def task(bar: lines.LineProgress, name: str, total: float | None) -> Task:
     return bar.tasks[-1]
 
 
-def test_other_commands_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_other_commands_too(
+    impatient: None, recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """Whatever draws a bar on a terminal; here an estimate, which reads and then works."""
-    run = tmp_path / "run.blf"
-    with pytest.raises(SystemExit, match="0"):
-        main(["simulate", str(PAPER), "-o", str(run)])
-    capfd.readouterr()
-    monkeypatch.setattr(lines, "FIRST_S", 1e-3)
-    monkeypatch.setattr(lines, "EVERY_S", 0.05)
-    with pytest.raises(SystemExit):
-        main(["estimate", str(run), "-o", str(tmp_path / "model.toml")])
+    assert run("estimate", recording, "-o", tmp_path / "model.toml") == 0
     assert re.search(r"^reading run\.blf.* · 0:00:0\d elapsed$", capfd.readouterr().err, re.M)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from cli_support import run
 
 from conftest import ROOT, need
 from zygos.demo import real
@@ -19,13 +21,22 @@ KR300 = ROOT.parent / "shared" / "data" / "kr300" / "run_a.mat"
 Content = dict[str, Any]
 
 
+def in_process(command: list[str], **_: object) -> SimpleNamespace:
+    """`subprocess.run` of a command of zygos, in this process."""
+    assert command[1:3] == ["-m", "zygos.cli"]
+    return SimpleNamespace(returncode=run(*command[3:]), stderr="")
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Content, int]:
-    """The folder, the JSON and the exit code."""
+    """The folder, the JSON and the exit code. What the published model lacks is told by a slow test."""
     folder = tmp_path_factory.mktemp("real")
+    untold = SimpleNamespace(gap=None, answer="", sentence="")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
         patch.delenv("CI", raising=False)
+        patch.setattr(real.subprocess, "run", in_process)
+        patch.setattr(real, "explained", lambda *_: untold)
         code = 0
         try:
             real.main(["--folder", str(folder), "--kr300", str(KR300)])
@@ -34,7 +45,24 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Content, int]:
     return folder, json.loads((folder / "real.json").read_text()), code
 
 
-def _held(content: Content, recording: str, joint: str) -> Content:
+@pytest.mark.slow
+def test_what_a_published_model_without_friction_lacks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(real.subprocess, "run", in_process)
+    with pytest.raises(SystemExit) as end:
+        real.main(["--folder", str(tmp_path), "--kr300", str(KR300)])
+    assert not end.value.code
+    said = capsys.readouterr().out
+    assert "the gap of the published model without friction" in said
+    assert "Coulomb friction" in said
+    assert {"gap.html", "gap.svg", "learned.toml", "real.html", "real.json"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+
+
+def held_out(content: Content, recording: str, joint: str) -> Content:
     (one,) = [x for x in content["held_out"] if (x["recording"], x["joint"]) == (recording, joint)]
     return dict(one)
 
@@ -46,7 +74,7 @@ CASES = [("03", "shoulder", 0.27), ("03", "elbow", 0.20), ("11", "shoulder", 0.7
 def test_held_out_torques_are_predicted(
     made: tuple[Path, Content, int], recording: str, joint: str, limit: float
 ) -> None:
-    one = _held(made[1], recording, joint)
+    one = held_out(made[1], recording, joint)
     assert one["limit"] == limit
     assert one["zygos"] <= limit
 
@@ -55,7 +83,7 @@ def test_held_out_torques_are_predicted(
 def test_held_out_torques_are_predicted_as_by_batch_least_squares(
     made: tuple[Path, Content, int], recording: str, joint: str
 ) -> None:
-    one = _held(made[1], recording, joint)
+    one = held_out(made[1], recording, joint)
     assert one["zygos"] <= 1.05 * one["batch"]
 
 

@@ -8,8 +8,8 @@ import os
 import re
 import signal
 import socket
-import subprocess
 import sys
+import threading
 import urllib.request
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ import pytest
 from cli_support import run
 from numpy.typing import NDArray
 
-from conftest import EXAMPLE, ROOT
+from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.dynamics.pose import motion, skeleton
@@ -54,6 +54,13 @@ def cycles(q: Floats, deflection: float = 0.0, rate: float = 0.0) -> Cycles:
 SWEEP = np.linspace([0.0, 0.0], [1.5, -1.0], 101)
 """(n, 2) rad: five seconds in which the shoulder rises and the elbow bends."""
 RATE = 0.02
+
+
+@pytest.fixture(autouse=True)
+def small_stills(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half as wide and as high as they are for a user."""
+    width, height = view.STILL_PX
+    monkeypatch.setattr(view, "STILL_PX", (width // 2, height // 2))
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +116,7 @@ def test_one_still_shows_the_second_asked_for(log: Path, tmp_path: Path) -> None
         assert run("view", log, "--model", MODEL, "--png", out, "--at", at) == 0
         sheets[name] = pixels(out)
         assert sheets[name].shape[1::-1] == view.STILL_PX
-        assert blue(sheets[name]).sum() > 2000
+        assert blue(sheets[name]).sum() > 500
     assert np.array_equal(sheets["early"], sheets["same"])  # the nearest cycle
     assert np.mean(np.any(sheets["early"] != sheets["late"], axis=2)) > 0.05
 
@@ -128,12 +135,12 @@ def test_the_ghost_follows_the_motors(log: Path, tmp_path: Path) -> None:
 
 def test_schematic_without_lengths_says_so(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "arm.png"
-    assert run("view", log, "--png", out, "--json", "-") == 0
+    assert run("view", log, "--png", out, "--at", 4, "--json", "-") == 0
     said = capsys.readouterr()
     content = json.loads(said.out)
     assert content["schematic"] is True
     assert "drawn schematically" in said.err
-    assert blue(pixels(out)).sum() > 500
+    assert blue(pixels(out)).sum() > 125
     assert content["cycles"] == 101
     assert content["duration_s"] == pytest.approx(5.0)
     assert content["base_turned_rad"] == pytest.approx(RATE * 5.0, rel=1e-3)
@@ -230,8 +237,8 @@ def test_gravity_points_down(tmp_path: Path) -> None:
         base = grey & (picture.mean(axis=2) > 0.25) & (picture.mean(axis=2) < 0.6)
         base[: len(base) // 10] = base[int(0.93 * len(base)) :] = False
         heights.append(centre(blue(picture))[1] - centre(base)[1])
-    assert heights[0] > 50.0  # rows count downwards
-    assert heights[1] < -50.0
+    assert heights[0] > 25.0  # rows count downwards
+    assert heights[1] < -25.0
 
 
 def test_rigid_joints_have_no_ghost() -> None:
@@ -241,29 +248,31 @@ def test_rigid_joints_have_no_ghost() -> None:
     assert "motor" not in {part.kind for part in view.parts(rigid, skeleton(rigid, None))}
 
 
-def test_the_browser_gets_the_page_until_interrupted(log: Path) -> None:
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "zygos.cli", "view", str(log), "--model", str(MODEL)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env={**environment, "BROWSER": "true"},
-    )
-    try:
-        assert process.stderr is not None
-        lines = iter(process.stderr.readline, "")
-        url = next(found[0] for line in lines if (found := re.search(r"http://127\.0\.0\.1:\d+/", line)))
-        with urllib.request.urlopen(url, timeout=30) as answer:
-            assert recorded(answer.read().decode())["durationSeconds"] == pytest.approx(5.0)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=30)
-    finally:
-        process.kill()
-    assert process.returncode == 0
-    assert "in the browser: 101 cycles" in out
-    assert "Traceback" not in err
+def test_the_browser_gets_the_page_until_interrupted(
+    log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    pages, said = [], view.note
+
+    def look(url: str) -> None:
+        """What a user does who reads where the page is: open it, and type Ctrl-C."""
+        try:
+            with urllib.request.urlopen(url, timeout=30) as answer:
+                pages.append(answer.read().decode())
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def told(text: str) -> None:
+        said(text)
+        if found := re.match(r"http://127\.0\.0\.1:\d+/", text):
+            threading.Thread(target=look, args=(found[0],)).start()
+
+    monkeypatch.setattr(view, "note", told)
+    assert run("view", log, "--model", MODEL) == 0
+    (page,) = pages
+    assert recorded(page)["durationSeconds"] == pytest.approx(5.0)
+    assert "in the browser: 101 cycles" in capsys.readouterr().out
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from paper_support import paper_run
 from runs_support import trajectory_of
 
 from conftest import ROOT
@@ -86,25 +87,35 @@ def status(arguments: list[str]) -> int:
 # the whole of it, small
 
 
+def campaign_of(case: str, workers: int, folder: Path) -> Path:
+    """A campaign of one case with two seeds in a folder of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        assert status([case, "--seeds=2", "--draws=6", f"--workers={workers}", *outputs(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the case whose figure the page shows."""
+    return campaign_of("paper-60", 2, tmp_path_factory.mktemp("pictured"))
+
+
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("tiny")
-    before = Path.cwd()
-    os.chdir(ROOT)
-    try:
-        assert status(["paper-60", "lost", "--seeds=2", "--draws=6", "--workers=2", *outputs(folder)]) == 0
-    finally:
-        os.chdir(before)
-    return folder
+    return campaign_of("paper-30", 1, tmp_path_factory.mktemp("tiny"))
+
+
+TINY = ["paper-30", "--seeds=2", "--draws=6"]
 
 
 @pytest.mark.slow
 def test_a_small_campaign_says_what_the_methods_say_by_themselves(
-    tiny: Path, arm: Arm, model: Model, scenario: Scenario, true: Floats
+    pictured: Path, arm: Arm, model: Model, scenario: Scenario, true: Floats
 ) -> None:
-    content = json.loads((tiny / "a.json").read_text())
-    entries = {(entry["case"], entry["estimator"]): entry for entry in content["cases"]}
-    assert set(entries) == {(case, one.name) for case in ("paper-60", "lost") for one in ESTIMATORS}
+    content = json.loads((pictured / "a.json").read_text())
+    entries = {entry["estimator"]: entry for entry in content["cases"]}
+    assert set(entries) == {one.name for one in ESTIMATORS}
     run = trajectory_of(arm, model, scenario, seeds=range(2), duration_s=60.0, noise=True)
     # the wire rounds what EB is given in the campaign
     expected = {
@@ -112,7 +123,8 @@ def test_a_small_campaign_says_what_the_methods_say_by_themselves(
         "EB": (eb.estimate(arm, noisy_record(arm, run)), 0.02),
     }
     for name, (values, close) in expected.items():
-        entry = entries["paper-60", name]
+        entry = entries[name]
+        assert entry["case"] == "paper-60"
         error = 100.0 * (values / true - 1.0)
         assert entry["seeds"] == 2
         assert entry["refused"] == 0
@@ -124,28 +136,27 @@ def test_a_small_campaign_says_what_the_methods_say_by_themselves(
         rms = [own["rms_percent"] for own in entry["per_parameter"].values()]
         assert entry["mean_rms_percent"] == pytest.approx(np.mean(rms))
         assert entry["max_rms_percent"] == max(rms)
-    assert entries["paper-60", "EB"]["coverage95"] is None
-    assert entries["paper-60", "flight"]["draws"] == 6
+    assert entries["EB"]["coverage95"] is None
+    assert entries["flight"]["draws"] == 6
     # its other settings and the methods are asked about each seed's own draw
     assert {entry["draws"] for entry in content["cases"] if entry["estimator"] != "flight"} == {2}
-    assert entries["paper-60", "flight, energy"]["coverage95"] is None
+    assert entries["flight, energy"]["coverage95"] is None
     # two seeds of three draws each
-    assert all(
-        6 * share == pytest.approx(round(6 * share)) for share in entries["paper-60", "flight"]["coverage95"].values()
-    )
+    assert all(6 * share == pytest.approx(round(6 * share)) for share in entries["flight"]["coverage95"].values())
 
 
 @pytest.mark.slow
-def test_the_page_is_one_small_file_with_all_numbers(tiny: Path) -> None:
-    text = (tiny / "a.html").read_text()
+def test_the_page_is_one_small_file_with_all_numbers(pictured: Path) -> None:
+    text = (pictured / "a.html").read_text()
     assert len(text) < 500_000
     assert "http" not in text
-    for entry in json.loads((tiny / "a.json").read_text())["cases"]:
+    entries = json.loads((pictured / "a.json").read_text())["cases"]
+    for entry in entries:
         assert f'<td class="c">{entry["mean_rms_percent"]:.3g}</td>' in text or entry["mean_rms_percent"] is None
     # a dot for each bias and interval, a bar for each spread
-    own = [p for entry in json.loads((tiny / "a.json").read_text())["cases"] for p in entry["per_parameter"].values()]
+    errors = [errors for entry in entries for errors in entry["per_parameter"].values()]
     for keys, stroke in ((("bias_percent", "coverage95"), "0"), (("spread_percent",), "6")):
-        drawn = [p[key] for p in own for key in keys if p[key] is not None]
+        drawn = [each[key] for each in errors for key in keys if each[key] is not None]
         assert len(drawn) > 60
         assert len(re.findall(rf"M[0-9.]+ [0-9.]+h{stroke}(?=[M\"])", text)) == len(drawn)
 
@@ -190,7 +201,7 @@ def test_what_was_finished_is_not_done_again(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_campaign_that_is_killed_goes_on(tiny: Path, tmp_path: Path) -> None:
     """The same numbers as without the interruption, and the cell that was finished is kept."""
-    words = ["paper-60", "lost", "--seeds=2", "--draws=6", *outputs(tmp_path)]
+    words = [*TINY, *outputs(tmp_path)]
     file = tmp_path / "cells.jsonl"
     process = subprocess.Popen(
         [sys.executable, "-m", "zygos.accuracy", "--workers=1", *words], cwd=ROOT, start_new_session=True
@@ -219,8 +230,7 @@ def test_a_cluster_says_the_same(tiny: Path, tmp_path: Path) -> None:
     ) as cluster:
         address = cluster.scheduler_address
         assert address.startswith("tcp://")
-        words = ["paper-60", "lost", "--seeds=2", "--draws=6", f"--scheduler={address}"]
-        assert status([*words, *outputs(tmp_path)]) == 0
+        assert status([*TINY, f"--scheduler={address}", *outputs(tmp_path)]) == 0
     assert (tmp_path / "a.json").read_text() == (tiny / "a.json").read_text()
 
 
@@ -364,8 +374,8 @@ def read_back(case: Case, trajectory: Trajectory, number: int) -> Any:
 
 
 @pytest.fixture(scope="module")
-def motion(arm: Arm, model: Model, scenario: Scenario) -> Trajectory:
-    return trajectory_of(arm, model, scenario, seeds=[0], noise=True)
+def motion() -> Trajectory:
+    return paper_run()
 
 
 def angle_errors(case: Case, motion: Trajectory, number: int) -> tuple[Arm, Floats]:
@@ -428,7 +438,7 @@ def test_one_joint_is_lost_in_one_of_a_hundred_cycles(motion: Trajectory) -> Non
 
 def test_the_arm_rests_and_then_moves_along_a_sine() -> None:
     case = CASES["rest"]
-    run = trajectory_of(case.plant, case.model, case.scenario, noise=False)
+    run = trajectory_of(case.plant, case.model, case.scenario, noise=False, duration_s=case.rest_s + 5.0)
     still = run.t < case.rest_s
     np.testing.assert_allclose(run.qd[0, still], 0.0, atol=1e-9)
     t = run.t[~still, None] - case.rest_s
@@ -463,7 +473,7 @@ def test_every_case_of_the_issue_is_there() -> None:
 
 
 def test_the_bound_of_a_case_is_what_errors_are_divided_by(arm: Arm, true: Floats) -> None:
-    case = replace(CASES["torque-0.5"], scenario=replace(CASES["torque-0.5"].scenario, duration_s=8.0))
+    case = replace(CASES["torque-0.5"], scenario=replace(CASES["torque-0.5"].scenario, duration_s=4.0))
     line = Limit(case, "").run()
     (found,) = bound(case.plant, case.model, case.scenario)
     np.testing.assert_allclose(line["percent"], found.percent, rtol=1e-9)
@@ -514,7 +524,8 @@ def test_a_campaign_has_at_least_so_many_draws() -> None:
 
 
 @pytest.mark.slow
-def test_figure_4_predicts() -> None:
+def test_figure_4_predicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(response, "DURATION_S", 20.0)
     case = CASES["lively"]
     short = replace(case.scenario, duration_s=30.0)
     figure = Figure4(replace(case, scenario=short), 0, "").run()
@@ -529,9 +540,10 @@ def test_figure_4_predicts() -> None:
 
 
 @pytest.mark.slow
-def test_figure_4_has_the_torques_of_the_paper(arm: Arm, model: Model) -> None:
+def test_figure_4_has_the_torques_of_the_paper(pictured: Path, arm: Arm, model: Model) -> None:
     """The curves of the response to (50), the paper's own estimates among them."""
-    figure = Figure4(CASES["paper-60"], 0, "").run()
+    lines = map(json.loads, (pictured / "cells.jsonl").read_text().splitlines())
+    figure = next(line for line in lines if line.get("figure"))
     assert figure["missing"] == {}
     true = model.base_values(arm)
     for name, values in (
@@ -548,8 +560,9 @@ def test_figure_4_has_the_torques_of_the_paper(arm: Arm, model: Model) -> None:
 
 
 @pytest.mark.slow
-def test_figure_4_says_what_it_cannot_draw(scenario: Scenario) -> None:
+def test_figure_4_says_what_it_cannot_draw(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     """In ten seconds the arm does not show all its parameters."""
+    monkeypatch.setattr(response, "DURATION_S", 20.0)
     short = replace(CASES["paper-60"], scenario=replace(scenario, duration_s=10.0))
     figure = Figure4(short, 0, "").run()
     assert figure["missing"]["flight"] == "not all parameters are known"

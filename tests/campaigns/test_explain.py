@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,39 +18,31 @@ from zygos.gap.explanation import Explanation
 from zygos.gap.record import read_measured_run
 from zygos.gap.verdicts import Changed
 from zygos.model.model import Model, Quantity, load_model, save_model
-from zygos.native.flight import Flight, encode
+from zygos.native.flight import Flight
+from zygos.runs.cycles import Cycles
 
 need(importlib.util.find_spec("mujoco"), "mujoco, which makes the runs")
 
 from oracles import laws  # noqa: E402
 from oracles.campaign import ELBOW, SHOULDER, Bench, Case, frames, lively, modern, plant, score, simulation, verdict  # noqa: E402
-from oracles.simulate import run  # noqa: E402
-
-Judge = Callable[[str, str], Explanation]
+from oracles.laws import Law  # noqa: E402
 
 
 def _case(bench: Bench, name: str) -> Case:
     return next(case for case in bench.cases if case.name == name)
 
 
-@pytest.fixture(scope="module")
-def judge() -> Iterator[Judge]:
-    """The verdict on seed 0 of a case of the campaign, found once."""
-    known: dict[tuple[str, str], Explanation] = {}
-
-    def of(bench_name: str, name: str) -> Explanation:
-        if (bench_name, name) not in known:
-            bench = {"modern": modern, "lively": lively}[bench_name]()
-            case = _case(bench, name)
-            known[bench_name, name] = verdict(bench, simulation(case), frames(bench, case, 0))
-        return known[bench_name, name]
-
-    yield of
+@cache
+def judge(bench_name: str, name: str) -> Explanation:
+    """The verdict on seed 0 of a case of the campaign."""
+    bench = {"modern": modern, "lively": lively}[bench_name]()
+    case = _case(bench, name)
+    return verdict(bench, simulation(case), frames(bench, case))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["motor_coulomb elbow", "link_coulomb shoulder", "torque_lag shoulder", "coupling"])
-def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
+@pytest.mark.parametrize("name", ["motor_coulomb elbow", "link_coulomb shoulder"])
+def test_names_an_effect_and_closes_the_gap(name: str) -> None:
     found = judge("modern", name)
     result = score(_case(modern(), name), 0, found)
     assert result["right"], found.sentence
@@ -58,32 +51,19 @@ def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
     assert result["closed"] <= 1.5 * result["floor"]
     assert found.gap.wrong is not None
     assert found.gap.wrong.gap > 3.0 * found.gap.closed.gap
-    if not found.findings[0].kind.endswith(("coulomb", "lag")):
-        return
     # the law differs in form from the column, so its size is no truth to the last digit
     size = _case(modern(), name).law.size  # type: ignore[union-attr]
     assert abs(found.findings[0].value / size - 1.0) < 0.02
 
 
 @pytest.mark.slow(but=["motor_viscous elbow"])
-@pytest.mark.parametrize(
-    "name",
-    [
-        "motor_coulomb shoulder",
-        "motor_viscous elbow",
-        "link_coulomb elbow",
-        "cubic_stiffness elbow",
-        "torque_lag elbow",
-        "flexibility",
-        "momentum",
-    ],
-)
-def test_names_an_effect_with_coarse_sensors(judge: Judge, name: str) -> None:
+@pytest.mark.parametrize("name", ["motor_coulomb shoulder", "motor_viscous elbow", "flexibility"])
+def test_names_an_effect_with_coarse_sensors(name: str) -> None:
     found = judge("lively", name)
     assert score(_case(lively(), name), 0, found)["right"], found.sentence
 
 
-def test_says_nothing_missing_with_the_limits(judge: Judge) -> None:
+def test_says_nothing_missing_with_the_limits() -> None:
     found = judge("lively", "null as drawn")
     assert found.answer == "nothing missing"
     assert found.search is not None
@@ -95,7 +75,7 @@ def test_says_nothing_missing_with_the_limits(judge: Judge) -> None:
 
 
 @pytest.mark.slow
-def test_a_limit_is_a_size_from_which_an_effect_is_named(judge: Judge) -> None:
+def test_a_limit_is_a_size_from_which_an_effect_is_named() -> None:
     search = judge("lively", "null as drawn").search
     assert search is not None
     bench = lively()
@@ -103,13 +83,13 @@ def test_a_limit_is_a_size_from_which_an_effect_is_named(judge: Judge) -> None:
     seen = []
     for size in (0.4 * limit, 1.5 * limit):
         case = Case("limit", "named", (("motor_coulomb", "elbow"),), laws.MotorCoulomb(ELBOW, size), exact=True)
-        seen.append(verdict(bench, simulation(case), frames(bench, case, 0)).answer)
+        seen.append(verdict(bench, simulation(case), frames(bench, case)).answer)
     # below the limit no name is given, whether the residual is seen or not
     assert seen[0] in {"nothing missing", "values differ", "unknown"} and seen[1] == "named"
 
 
 @pytest.mark.slow
-def test_says_which_values_differ(judge: Judge) -> None:
+def test_says_which_values_differ() -> None:
     found = judge("lively", "values")
     assert found.answer == "values differ"
     differing = {value.name: value.change for value in found.values if value.differs}
@@ -119,14 +99,14 @@ def test_says_which_values_differ(judge: Judge) -> None:
 
 
 @pytest.mark.slow
-def test_a_detent_of_the_base_is_found_among_the_entries_that_are_searched_last(judge: Judge) -> None:
+def test_a_detent_of_the_base_is_found_among_the_entries_that_are_searched_last() -> None:
     found = judge("lively", "base detent")
     assert found.answer in {"named", "part named"}, found.sentence
     assert {one.kind for one in found.findings} <= {"detent_sin", "detent_cos"}
 
 
 @pytest.mark.slow
-def test_does_not_name_what_is_not_in_the_catalogue(judge: Judge) -> None:
+def test_does_not_name_what_is_not_in_the_catalogue() -> None:
     found = judge("lively", "rate stiffness elbow")
     assert found.answer == "unknown", found.sentence
     assert found.findings == ()
@@ -141,10 +121,8 @@ def _stiff(model: Model) -> Model:
 
 @pytest.mark.slow
 def test_cannot_tell_motor_from_link_where_they_turn_as_one() -> None:
-    bench, case = lively(), Case("stiff", "cannot tell", lacks="flexibility")
-    moved, law = _stiff(plant(case, 0)), laws.LinkCoulomb(SHOULDER, 100.0)
-    seen = [encode(bench.arm, run(bench.arm, moved, s, k, law)) for k, s in enumerate(bench.scenarios)]
-    found = verdict(bench, simulation(case), seen)
+    bench, case = lively(), Case("stiff", "cannot tell", law=laws.LinkCoulomb(SHOULDER, 100.0), lacks="flexibility")
+    found = verdict(bench, simulation(case), frames(bench, case, models=[_stiff(plant(case, 0))] * 3))
     assert found.answer == "cannot tell", found.sentence
     (finding,) = found.findings
     told = {_column(finding.kind, finding.joint), *finding.instead}
@@ -165,13 +143,13 @@ def _column(kind: str, joint: str | None) -> str:
 def test_timing_comes_before_physics() -> None:
     """A late link encoder looks like a spring to a simulation whose joints are rigid."""
     bench, case = lively(), Case("late", "unknown", lacks="flexibility")
-    moved = _stiff(plant(case, 0))
-    seen = []
-    for k, scenario in enumerate(bench.scenarios):
-        cycles = run(bench.arm, moved, scenario, k)
+
+    def late(cycles: Cycles) -> Cycles:
         q = cycles.q.copy()
         q[1:, ELBOW] = cycles.q[:-1, ELBOW]
-        seen.append(encode(bench.arm, replace(cycles, q=q)))
+        return replace(cycles, q=q)
+
+    seen = frames(bench, case, models=[_stiff(plant(case, 0))] * 3, change=late)
     found = verdict(bench, simulation(case), seen)
     assert found.answer == "unknown"
     assert "Timing first" in found.sentence and "elbow" in found.sentence
@@ -180,7 +158,7 @@ def test_timing_comes_before_physics() -> None:
 
 
 @pytest.mark.slow
-def test_where_is_the_side_that_fails(judge: Judge) -> None:
+def test_where_is_the_side_that_fails() -> None:
     motor, link = judge("modern", "motor_coulomb elbow"), judge("modern", "link_coulomb shoulder")
     e, m1, m2 = (motor.refit.layout.balances.index(name) for name in ("E", "M1", "M2"))
     assert np.all(motor.local[:, m2] > 5.0) and np.all(motor.local[:, m1] < 1.1)
@@ -190,7 +168,7 @@ def test_where_is_the_side_that_fails(judge: Judge) -> None:
 
 
 @pytest.mark.slow
-def test_simulator_and_estimator_read_the_entry_that_was_written(judge: Judge, tmp_path: Path) -> None:
+def test_simulator_and_estimator_read_the_entry_that_was_written(tmp_path: Path) -> None:
     found = judge("modern", "motor_coulomb elbow")
     assert found.model is not None
     save_model(found.model, tmp_path / "new.toml")
@@ -202,7 +180,7 @@ def test_simulator_and_estimator_read_the_entry_that_was_written(judge: Judge, t
 
     bench, case = modern(), _case(modern(), "motor_coulomb elbow")
     flight = Flight(bench.arm, model.effects)
-    flight.frames(frames(bench, case, 0)[0])
+    flight.frames(frames(bench, case)[0])
     estimate = flight.estimate()
     assert estimate.validity == "valid"
     again = estimate.value[estimate.names.index("motor_coulomb2")]
@@ -210,12 +188,12 @@ def test_simulator_and_estimator_read_the_entry_that_was_written(judge: Judge, t
 
 
 @pytest.mark.slow
-def test_explained_model_leaves_nothing_to_explain(judge: Judge) -> None:
+def test_explained_model_leaves_nothing_to_explain() -> None:
     """The model that was written, as the simulation of the same runs: the verdict is that nothing is missing."""
     bench, case = lively(), _case(lively(), "motor_coulomb shoulder")
     first = judge("lively", "motor_coulomb shoulder")
     assert first.model is not None
-    second = verdict(bench, first.model, frames(bench, case, 0))
+    second = verdict(bench, first.model, frames(bench, case))
     assert second.answer in {"nothing missing", "values differ"}, second.sentence
     assert second.gap is not None and first.gap is not None
     assert second.gap.delivered.gap == pytest.approx(first.gap.closed.gap, rel=0.2)
@@ -223,7 +201,7 @@ def test_explained_model_leaves_nothing_to_explain(judge: Judge) -> None:
 
 def test_a_run_without_a_whole_stretch_is_refused() -> None:
     bench = lively()
-    seen = frames(bench, _case(bench, "null as drawn"), 0)[0]
+    seen = frames(bench, _case(bench, "null as drawn"))[0]
     with pytest.raises(ZygosError, match="no stretch of 2 s"):
         read_measured_run(bench.arm, Path("short.blf"), seen[:200])
     # every twentieth SYNC is lost, and with it its cycle
@@ -233,16 +211,16 @@ def test_a_run_without_a_whole_stretch_is_refused() -> None:
 
 
 def _explained(
-    law: object, *, exact: bool = True, sim: Model | None = None, second: Model | None = None
+    law: Law | Sequence[Law] | None,
+    *,
+    sim: Model | None = None,
+    second: Model | None = None,
+    bench: Bench | None = None,
 ) -> Explanation:
     """A verdict with the paper's sensors on an arm with these laws; `second` moves in the second run."""
-    bench, case = lively(), Case("", "", exact=True)
+    bench, case = bench or lively(), Case("", "", exact=True)
     moved = plant(case, 0)
-    arms = (moved, second or moved, moved)
-    seen = [
-        encode(bench.arm, run(bench.arm, model, s, k, law))  # type: ignore[arg-type]
-        for k, (model, s) in enumerate(zip(arms, bench.scenarios, strict=True))
-    ]
+    seen = frames(bench, case, models=(moved, second or moved, moved), hidden=[law] * 3)
     return verdict(bench, sim or simulation(case), seen)
 
 
@@ -276,7 +254,7 @@ def test_a_payload_between_the_runs_is_a_change() -> None:
 def test_a_law_of_another_form_is_named_in_part() -> None:
     """A friction that reverses within 0.3 rad/s looks like a viscous one below and like a Coulomb friction above that
     rate, 3 Nm. The viscous one would have another size in each run."""
-    found = _explained(laws.MotorCoulomb(ELBOW, 3.0, v0=0.3))
+    found = _explained(laws.MotorCoulomb(ELBOW, 3.0, v0=0.3), bench=lively(60.0))
     assert found.answer == "part named", found.sentence
     named = _named(found)
     assert set(named) == {("motor_coulomb", "elbow")}
@@ -293,7 +271,7 @@ def test_a_law_of_another_form_is_named_in_part() -> None:
 class _Late(laws.MotorCoulomb):
     """Coulomb friction that begins within a run."""
 
-    from_s: float = 30.0
+    from_s: float = 20.0
     time: float = field(default=0.0, init=False)
 
     def begin(self, now: laws.Local) -> None:
@@ -307,16 +285,12 @@ class _Late(laws.MotorCoulomb):
 def test_a_friction_that_begins_within_a_run_is_a_change() -> None:
     bench, case = lively(), Case("", "changed", exact=True)
     of_run = (None, _Late(ELBOW, 3.0), laws.MotorCoulomb(ELBOW, 3.0))
-    seen = [
-        encode(bench.arm, run(bench.arm, plant(case, 0), s, k, law))
-        for k, (s, law) in enumerate(zip(bench.scenarios, of_run, strict=True))
-    ]
-    found = verdict(bench, simulation(case), seen)
+    found = verdict(bench, simulation(case), frames(bench, case, hidden=of_run))
     assert found.answer == "changed", found.sentence
     change = found.verdict.change  # type: ignore[union-attr]
     assert (change.what, change.run, change.between) == ("motor_coulomb2", 1, False)
     # to the arcs on either side
-    assert 19.0 < change.before_s < 30.0 < change.after_s < 41.0
+    assert 9.0 < change.before_s < 20.0 < change.after_s < 31.0
     assert (change.old[0], change.new[0]) == (0.0, pytest.approx(3.0, rel=0.05))
     assert found.findings == ()
     assert found.model is not None
@@ -371,24 +345,18 @@ def test_an_effect_that_the_arm_does_not_have_leaves_the_model(tmp_path: Path) -
 )
 def test_an_arm_file_that_is_wrong_is_said_first(change: dict[str, object], says: str) -> None:
     bench, case = lively(), _case(lively(), "null as drawn")
-    joints = bench.arm.joints
-    arm = bench.arm
+    arm, (first, second) = bench.arm, bench.arm.joints
     if "torque_law" in change:
-        arm = replace(arm, torque_law="applied_previous_cycle")
+        arm = replace(arm, **change)  # type: ignore[arg-type]
     elif "quantum_rad" in change:
-        coarse = [
-            replace(
-                j,
-                link_encoder=replace(j.link_encoder, quantum_rad=0.006),
-                motor_encoder=replace(j.motor_encoder, quantum_rad=0.006),
-            )
-            for j in joints
-        ]
+        coarse = (
+            replace(j, link_encoder=replace(j.link_encoder, **change), motor_encoder=replace(j.motor_encoder, **change))
+            for j in (first, second)
+        )
         arm = replace(arm, joints=tuple(coarse))
     else:
-        motor = replace(joints[1].motor_encoder, zero_rad=0.02)
-        arm = replace(arm, joints=(joints[0], replace(joints[1], motor_encoder=motor)))
-    found = verdict(replace(bench, arm=arm), simulation(case), frames(bench, case, 0))
+        arm = replace(arm, joints=(first, replace(second, motor_encoder=replace(second.motor_encoder, **change))))
+    found = verdict(replace(bench, arm=arm), simulation(case), frames(bench, case))
     if says:
         assert found.answer == "unknown" and says in found.sentence, found.sentence
         assert found.model is None
@@ -399,11 +367,7 @@ def test_an_arm_file_that_is_wrong_is_said_first(change: dict[str, object], says
 @pytest.mark.slow
 def test_a_gyro_bias_is_no_angular_momentum() -> None:
     bench, case = modern(), Case("bias", "nothing missing", exact=True)
-    moved, bias = plant(case, 0), 1e-4
-    seen = []
-    for k, scenario in enumerate(bench.scenarios):
-        cycles = run(bench.arm, moved, scenario, k)
-        seen.append(encode(bench.arm, replace(cycles, omega=cycles.omega + np.array([0.0, 0.0, bias]))))
+    seen = frames(bench, case, change=lambda cycles: replace(cycles, omega=cycles.omega + np.array([0.0, 0.0, 1e-4])))
     found = verdict(bench, simulation(case), seen)
     assert found.answer == "nothing missing", found.sentence
     assert any("gyro bias +0.1 mrad/s" in note for note in found.notes)
@@ -413,8 +377,7 @@ def test_a_gyro_bias_is_no_angular_momentum() -> None:
 def test_names_a_pair_of_which_neither_passes_alone() -> None:
     bench, case = modern(), Case("pair", "named", exact=True)
     pair = (laws.LinkCoulomb(SHOULDER, 0.3), laws.LinkCoulomb(ELBOW, 0.36))
-    seen = [encode(bench.arm, run(bench.arm, plant(case, 0), s, k, pair)) for k, s in enumerate(bench.scenarios)]
-    found = verdict(bench, simulation(case), seen)
+    found = verdict(bench, simulation(case), frames(bench, case, hidden=[pair] * 3))
     assert found.answer == "named", found.sentence
     assert _named(found) == {
         ("link_coulomb", "shoulder"): pytest.approx(0.3, rel=0.02),

@@ -7,12 +7,13 @@ meets the verdict only in `score`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from runs_support import kept
 
 from oracles import laws
 from oracles.demo_log import EXAMPLE, built
@@ -25,11 +26,14 @@ from zygos.gap.explanation import Explanation
 from zygos.gap.record import read_measured_run
 from zygos.model.model import Model, Quantity, load_model
 from zygos.native.flight import encode
+from zygos.runs.cycles import Cycles
 from zygos.simulation.scenario import Motion, Scenario, Sine, load_scenario
 
 LIVELY = EXAMPLE.parent / "lively"
 SHOULDER, ELBOW = 0, 1
 PLACES = ("shoulder", "elbow")
+Hidden = Law | Sequence[Law] | None
+"""What acts in a run beside the model."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,7 @@ def _at(law: type[Law], sizes: tuple[float, float]) -> list[Case]:
 
 
 def modern() -> Bench:
-    """20-bit encoders at 200 Hz."""
+    """20-bit encoders, half a minute at 50 Hz."""
     both = tuple(PLACES)
     cases = [
         *_at(laws.MotorCoulomb, (0.02, 0.02)),
@@ -87,11 +91,12 @@ def modern() -> Bench:
         Case("rate stiffness elbow", "unknown", law=laws.RateStiffness(ELBOW, 0.02)),
         Case("base detent", "unknown", law=laws.BaseDetent(0, 1.0)),
     ]
-    scenarios = tuple(load_scenario(EXAMPLE / f"{name}.toml") for name in "abc")
-    return Bench("modern", load_arm(EXAMPLE / "arm.toml"), scenarios, tuple(cases))
+    scenarios = tuple(replace(load_scenario(EXAMPLE / f"{name}.toml"), duration_s=30.0) for name in "abc")
+    arm = replace(load_arm(EXAMPLE / "arm.toml").at_period(0.02), smoother=Smoother(9, 4, 4))
+    return Bench("modern", arm, scenarios, tuple(cases))
 
 
-def lively() -> Bench:
+def lively(duration_s: float = 40.0) -> Bench:
     """The sensors of the paper, 3 mrad at 20 Hz, and the large motions of examples/lively."""
     cases = [
         *_at(laws.MotorCoulomb, (5.0, 3.0)),
@@ -112,6 +117,7 @@ def lively() -> Bench:
     scenarios = tuple(
         replace(
             scenario,
+            duration_s=duration_s,
             manoeuvre={
                 "shoulder": Motion(1.25, (Sine(first, slow),)),
                 "elbow": Motion(-2.0, (Sine(second, fast),)),
@@ -148,14 +154,30 @@ def plant(case: Case, seed: int) -> Model:
     return model
 
 
-def frames(bench: Bench, case: Case, seed: int) -> list[np.ndarray[Any, Any]]:
-    """The CAN frames of three runs."""
-    moved = plant(case, seed)
+def frames(
+    bench: Bench,
+    case: Case,
+    seed: int = 0,
+    *,
+    models: Sequence[Model] = (),
+    hidden: Sequence[Hidden] = (),
+    change: Callable[[Cycles], Cycles] = lambda cycles: cycles,
+) -> list[np.ndarray[Any, Any]]:
+    """The CAN frames of three runs. models, hidden: what moves in each run and its laws, in place of those of the case;
+    change: of what the sensors recorded."""
+    models, hidden = models or [plant(case, seed)] * 3, hidden or [case.law] * 3
     scenarios = [replace(s, angular_momentum_nms=case.momentum) for s in bench.scenarios]
     return [
-        encode(bench.arm, run(bench.arm, moved, scenario, 10 * seed + k, case.law))
-        for k, scenario in enumerate(scenarios)
+        encode(bench.arm, change(_recorded(bench.arm, model, scenario, 10 * seed + k, law)))
+        for k, (model, scenario, law) in enumerate(zip(models, scenarios, hidden, strict=True))
     ]
+
+
+def _recorded(arm: Arm, model: Model, scenario: Scenario, seed: int, law: Hidden) -> Cycles:
+    cycles: Cycles = kept(
+        lambda: run(arm, model, scenario, seed, law), ("oracles.simulate",), arm, model, scenario, seed, law
+    )
+    return cycles
 
 
 def verdict(bench: Bench, drawn: Model, seen: Sequence[np.ndarray[Any, Any]]) -> Explanation:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from oracles.laws import Law
-from oracles.plant import MujocoPlant
+from oracles.plant import STEP_S, MujocoPlant
 from zygos.arm import Arm
 from zygos.can.bus import write_log
 from zygos.model.model import Model
@@ -18,7 +18,9 @@ from zygos.simulation.scenario import Scenario
 def run(arm: Arm, model: Model, scenario: Scenario, seed: int, law: Law | Sequence[Law] | None = None) -> Cycles:
     """What the sensors record of one run; `law` is a hidden effect, several, or none."""
     laws = () if law is None else (law,) if isinstance(law, Law) else law
-    return MujocoPlant(arm, model).run(scenario, laws, seed=seed, noise=scenario.noise).cycles
+    # coarse encoders at a long period do not see what a step of a fifth of it does
+    step = max(STEP_S, arm.period_s / 5.0)
+    return MujocoPlant(arm, model).run(scenario, laws, seed=seed, noise=scenario.noise, step_s=step).cycles
 
 
 def write(cycles: Cycles, arm: Arm, path: Path) -> None:

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from oracles.hidden import Law, Motion, Now, TidalField
+from oracles.hidden import Law, LoadFriction, Motion, Now, TidalField
 from zygos.arm import Arm
 from zygos.model.model import Body, Model
 from zygos.simulation.scenario import Scenario
@@ -231,6 +231,7 @@ class TreePlant:
         sampled = arm.torque_law == "sampled"
         follow = _Servo(self, scenario, n, substeps) if sampled else None
         directions = [self.direction(law) for law in laws]
+        lasting = [law for law in laws if _lasts(law)]
         load = np.zeros(arm.n)
 
         def now(law: Law, state: mujoco.MjData, tau: Array, angles: Angles, base: tuple[Array, float]) -> Now:
@@ -290,18 +291,18 @@ class TreePlant:
                 for j, law in enumerate(laws):
                     torques[k, j] = law.torque(now(law, data, tau, (q, qd, theta, thetad), base))
                 for _ in range(substeps):
-                    if laws:
+                    if lasting:
                         angles, base = self.angles(data), of_base(data)
                         force = held if follow is None else follow.torque(data.time, angles[0], angles[1])
-                        for law in laws:
+                        for law in lasting:
                             law.begin(now(law, data, force, angles, base))
                     mujoco.mj_step(tree, data)
-                    if laws:
+                    if lasting:
                         angles, base = self.angles(data), of_base(data)
                         load = self._load(data, force, angles)
-                        for law in laws:
+                        for law in lasting:
                             law.end(now(law, data, force, angles, base))
-                if not laws:
+                if not lasting:
                     load = self._load(data, tau, self.angles(data))
         finally:
             mujoco.set_mjcb_passive(None)
@@ -340,6 +341,11 @@ class TreePlant:
         kept = data.qpos.copy(), data.qvel.copy(), data.time
         mujoco.mj_setConst(tree, data)
         data.qpos[:], data.qvel[:], data.time = kept
+
+
+def _lasts(law: Law) -> bool:
+    """Whether a law depends on the integration step before: on a state of its own, or on the load."""
+    return isinstance(law, LoadFriction) or type(law).begin is not Law.begin or type(law).end is not Law.end
 
 
 class _Servo:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,12 +17,6 @@ Measured = Callable[[str, str, Sizes], None]
 @pytest.fixture(scope="session", autouse=True)
 def _tools() -> None:
     need_tools()
-
-
-@pytest.fixture(scope="session")
-def builds(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of libraries and firmware, each built once a process."""
-    return tmp_path_factory.mktemp("builds")
 
 
 @pytest.fixture

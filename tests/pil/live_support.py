@@ -108,17 +108,15 @@ class Live:
         return can.Bus(interface="slcan", channel=self.channel, sleep_after_open=0.0)
 
 
-def compiled_in(builds: Path, build: Build, flight: Flight) -> tuple[str, ...]:
-    """Compiler options by which firmware finds an arm's configuration, `zygos compile-model`'s."""
-    header = builds / f"{build.name}-{flight.arm.name}" / "arm_config.h"
-    header.parent.mkdir(exist_ok=True)
+def compiled_in(folder: Path, flight: Flight) -> tuple[str, ...]:
+    """Compiler options by which firmware finds an arm's configuration, `zygos compile-model`'s, in a folder."""
+    header = folder / "arm_config.h"
     header.write_text(compiled.header(flight, "a test"))
     return ("-I", str(header.parent))
 
 
 @contextmanager
 def running(
-    builds: Path,
     folder: Path,
     target: str,
     build: Build,
@@ -127,7 +125,7 @@ def running(
     drills: tuple[str, ...] = (),
 ) -> Iterator[Live]:
     """The firmware for an arm, until the context ends. The library in use must be that of the build."""
-    elf = firmware(builds, target, "live", build, compiled_in(builds, build, flight), ("adoptions", *drills))
+    elf = firmware(target, "live", build, compiled_in(folder, flight), ("adoptions", *drills))
     command = [*build_firmware.run(target, elf), "-chardev", LINES[line], "-serial", "chardev:line", "-qmp", "stdio"]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:

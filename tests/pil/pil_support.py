@@ -5,19 +5,18 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-import os
 import re
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from build_support import ROOMS, kept, objects
 from numpy.typing import NDArray
 from runs_support import trajectory_of
 
@@ -51,22 +50,13 @@ class Build:
     defines: tuple[str, ...]
 
 
-PAPER = Build("two joints", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
+PAPER = Build("two joints", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0", "-DZYGOS_CYCLE_QUEUE=1024"))
+"""With a long queue, so that nothing is lost however fast the frames come."""
+HASTY = Build("two joints, short queue", PAPER.defines[:2])
 SPATIAL = Build("three joints in space", ("-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=12"))
-SEVEN = Build(
-    "seven joints in space",
-    (
-        "-DZYGOS_MAX_JOINTS=7",
-        "-DZYGOS_MAX_BLOCKS=12",
-        "-DZYGOS_MAX_MOTOR_BLOCKS=8",
-        "-DZYGOS_MAX_MOMENTUM_BLOCKS=8",
-    ),
-)
+FEW_BLOCKS = ("-DZYGOS_MAX_BLOCKS=12", "-DZYGOS_MAX_MOTOR_BLOCKS=8", "-DZYGOS_MAX_MOMENTUM_BLOCKS=8")
+SEVEN = Build("seven joints in space", ("-DZYGOS_MAX_JOINTS=7", *FEW_BLOCKS))
 """The emulated boards have 16 MB."""
-
-
-PATIENT = Build("two joints, long queue", (*PAPER.defines, "-DZYGOS_CYCLE_QUEUE=1024"))
-"""Nothing is lost however fast the frames come."""
 BUILDS = {"paper": PAPER, "spatial": SPATIAL, "seven": SEVEN}
 DURATION_S = {"paper": 60.0, "spatial": 1.2, "seven": 1.6}
 """1,200 cycles, 600 and 400."""
@@ -116,26 +106,6 @@ class Record:
     data: bytes
 
 
-@functools.cache
-def host_library(builds: Path, build: Build) -> Path:
-    """Build the host's library at these capacities, once a process. Returns its folder."""
-    folder = builds / build.name
-    environment = {**os.environ, "CFLAGS": " ".join(build.defines)}
-    subprocess.run([sys.executable, str(ROOT / "tools" / "build_native.py"), str(folder)], env=environment, check=True)
-    return folder
-
-
-@contextmanager
-def capacities(builds: Path, build: Build) -> Iterator[None]:
-    """Within it zygos.native.flight is that of a library with these capacities."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flight, "_FOLDER", host_library(builds, build))
-        ffi, lib = flight._load()
-        patch.setattr(flight, "ffi", ffi)
-        patch.setattr(flight, "lib", lib)
-        yield
-
-
 def on_host(config: Any, sections: Sequence[Section], in_place: bool = False) -> list[Record]:
     """What bulk.c does, by the library in use. in_place: the estimate is solved without a copy of the sums."""
     ffi, lib = flight.ffi, flight.lib
@@ -177,28 +147,38 @@ def on_host(config: Any, sections: Sequence[Section], in_place: bool = False) ->
     return records
 
 
-@functools.cache
 def firmware(
-    folder: Path,
     target: str,
     program: str,
     build: Build,
     flags: tuple[str, ...] = (),
     drills: tuple[str, ...] = (),
     board: str = "",
+    arithmetic: tuple[str, ...] = (),
+    rooms: Sequence[Path] = ROOMS,
 ) -> Path:
-    """Build firmware whose main() is in PROGRAM.c, here or in c/ports/cortex-m, into folder, once a process.
+    """Firmware whose main() is in PROGRAM.c, here or in c/ports/cortex-m, built once.
 
     drills: sources in this folder whose __wrap_ functions stand before those of the firmware. board: another linker
-    script than that of the machine.
+    script than that of the machine. flags: of the program and the linker; arithmetic: of these rooms of the library.
     """
     own = HERE / f"{program}.c"
-    sources = [own if own.exists() else PORT / own.name]
-    own_sources = [HERE / f"{drill}.c" for drill in drills]
-    names = {name for source in own_sources for name in re.findall(r"__wrap_(\w+)\(", source.read_text())}
+    sources = [own if own.exists() else PORT / own.name, *(HERE / f"{drill}.c" for drill in drills)]
+    names = {name for source in sources[1:] for name in re.findall(r"__wrap_(\w+)\(", source.read_text())}
     wrapped = [f"-Wl,--wrap={name}" for name in sorted(names)]
-    elf = folder / f"{target}-{build.name}-{program}-{abs(hash((flags, drills, board)))}.elf"
-    return build_firmware.build(target, elf, [*sources, *own_sources], [*build.defines, *flags, *wrapped], board)
+    compiler = [*build_firmware.compiler(target), "-ffunction-sections", "-fdata-sections", *build.defines]
+    usual = [room for room in build_firmware.ROOMS if not arithmetic or room not in rooms]
+    library = objects(compiler, usual) if usual else []
+    library += objects([*compiler, *arithmetic], rooms) if arithmetic else []
+    included = [Path(flag) / "arm_config.h" for flag in flags if Path(flag).is_dir()]
+
+    def link(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(build_firmware, "ROOMS", library)
+            build_firmware.build(target, folder / "image.elf", sources, [*build.defines, *flags, *wrapped], board)
+
+    options = [*map(str, library), *(flag for flag in flags if not Path(flag).is_dir()), *wrapped]
+    return kept(link, "firmware", target, program, board, *options, sources=[*sources, *included]) / "image.elf"
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,12 @@ def operands(name: str, rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_every_operation_is_rounded_as_on_the_host(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
-    elf = build_firmware.build(target, builds / f"{target}-arithmetic.elf", [HERE / "arithmetic.c"])
+def test_every_operation_is_rounded_as_on_the_host(
+    target: str, tmp_path: Path, agree: Agree, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    needed = [room for room in build_firmware.ROOMS if room.stem in ("core", "semihosting", "capacities")]
+    monkeypatch.setattr(build_firmware, "ROOMS", needed)
+    elf = build_firmware.build(target, tmp_path / "arithmetic.elf", [HERE / "arithmetic.c"])
     rng = np.random.default_rng(0)
     with np.errstate(all="ignore"):
         drawn = {name: operands(name, rng) for name in OPERATIONS}

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from build_support import ROOMS, capacities
 from numpy.typing import NDArray
 
 from pil.conftest import Agree, Measured
@@ -22,7 +23,6 @@ from pil.pil_support import (
     Build,
     Record,
     Section,
-    capacities,
     compare,
     cycles_section,
     firmware,
@@ -75,33 +75,31 @@ CASES = {
 
 
 def both(
-    builds: Path,
     folder: Path,
     target: str,
     build: Build,
     config: Any,
     sections: Sequence[Section],
-    flags: tuple[str, ...] = (),
+    arithmetic: tuple[str, ...] = (),
     drills: tuple[str, ...] = (),
+    rooms: Sequence[Path] = ROOMS,
 ) -> tuple[list[Record], list[Record], Any]:
     """What host and target come to, and the target's sizes. The library in use must be that of the build."""
-    elf = firmware(builds, target, "bulk", build, flags, drills)
+    elf = firmware(target, "bulk", build, drills=drills, arithmetic=arithmetic, rooms=rooms)
     records, sizes = on_target(target, elf, folder, config, sections)
     return on_host(config, sections), records, sizes
 
 
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("name", CASES)
-def test_from_frames_to_the_estimate(
-    name: str, target: str, builds: Path, tmp_path: Path, agree: Agree, measured: Measured
-) -> None:
+def test_from_frames_to_the_estimate(name: str, target: str, tmp_path: Path, agree: Agree, measured: Measured) -> None:
     """Reception, queue, smoother, kinematics, row, noise, sums: the whole zygos_t, padding too; and the solver."""
     case = CASES[name]
     build = BUILDS[case.example]
-    with capacities(builds, build):
+    with capacities(*build.defines):
         arm, effects, cycles = case.of()
         sections = [frames_section(flight.encode(arm, cycles)), *END]
-        host, records, sizes = both(builds, tmp_path, target, build, flight.config_of(arm, effects), sections)
+        host, records, sizes = both(tmp_path, target, build, flight.config_of(arm, effects), sections)
         kinds = Counter(record.kind for record in host)
         assert kinds["instant"] == len(cycles)
         assert kinds["image"] == 2
@@ -115,14 +113,13 @@ def test_from_frames_to_the_estimate(
         assert not case.motion or joints.segments > flight.lib.ZYGOS_JOINT_GROUPS_VALUE
 
 
-@pytest.mark.parametrize("target", TARGETS)
-def test_other_levels_of_optimisation(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
-    with capacities(builds, PAPER):
+@pytest.mark.parametrize(("target", "level"), [("m7", "-O3"), ("m4f", "-Os")])
+def test_other_levels_of_optimisation(target: str, level: str, tmp_path: Path, agree: Agree) -> None:
+    with capacities(*PAPER.defines):
         arm, _, cycles = CASES["paper"].of()
         config, sections = flight.config_of(arm), [frames_section(flight.encode(arm, cycles)), *END]
-        for level in ("-Os", "-O3"):
-            host, records, _ = both(builds, tmp_path, target, PAPER, config, sections, (level,))
-            agree(target, f"paper, {level}", "the same", compare(host, records))
+        host, records, _ = both(tmp_path, target, PAPER, config, sections, (level,))
+        agree(target, f"paper, {level}", "the same", compare(host, records))
 
 
 @pytest.mark.parametrize(
@@ -130,12 +127,14 @@ def test_other_levels_of_optimisation(target: str, builds: Path, tmp_path: Path,
     [("m7", ("-ffp-contract=fast",)), ("m4f", ("-funsafe-math-optimizations",))],
     ids=["fused", "rearranged"],
 )
-def test_other_arithmetic_is_noticed(target: str, flags: tuple[str, ...], builds: Path, tmp_path: Path) -> None:
-    """Multiply and add in one operation, or sums in another order: the comparison must fail, and say where."""
-    with capacities(builds, PAPER):
+def test_other_arithmetic_is_noticed(target: str, flags: tuple[str, ...], tmp_path: Path) -> None:
+    """Multiply and add in one operation, or sums in another order: the comparison must fail, and say where.
+    One room of the library is enough."""
+    room = [path for path in ROOMS if path.stem == "balance"]
+    with capacities(*PAPER.defines):
         arm, _, cycles = CASES["paper"].of()
         config, sections = flight.config_of(arm), [frames_section(flight.encode(arm, cycles)), *END]
-        found = compare(*both(builds, tmp_path, target, PAPER, config, sections, flags)[:2])
+        found = compare(*both(tmp_path, target, PAPER, config, sections, flags, rooms=room)[:2])
         print(f"{target} {' '.join(flags)}: {found}")
         assert 0 < found.equal < found.total
         assert "zygos_" in found.first
@@ -186,16 +185,16 @@ def any_sound(rng: np.random.Generator, arm: Arm, counter: int) -> Any:
 
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("example", ["paper", "seven"])
-def test_damaged_and_foreign_frames(example: str, target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+def test_damaged_and_foreign_frames(example: str, target: str, tmp_path: Path, agree: Agree) -> None:
     """The same verdict on each, the same fault counters, the same bits of what got through."""
     build = BUILDS[example]
-    with capacities(builds, build):
+    with capacities(*build.defines):
         arm, cycles = recorded(example)
         # long stretches of sound frames, so that some arcs get far enough for rows
         sound = flight.encode(arm, cycles)
         frames = np.concatenate([sound[2:9], damaged(arm, cycles, FUZZ_FRAMES, 1), sound])
         sections = [frames_section(frames), *END]
-        host, records, _ = both(builds, tmp_path, target, build, flight.config_of(arm), sections)
+        host, records, _ = both(tmp_path, target, build, flight.config_of(arm), sections)
         agree(target, f"{example}, half of the frames damaged", f"{len(frames):,} verdicts, …", compare(host, records))
         found = flight.ffi.from_buffer("zygos_t *", host[-1].data).receiver.faults
         missed = {name for name, _ in flight.ffi.typeof(found).fields if getattr(found, name) == 0}
@@ -221,27 +220,27 @@ def special(cycles: Cycles, seed: int) -> Cycles:
 
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("name", ["paper, four effects", "three in space"])
-def test_special_doubles(name: str, target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+def test_special_doubles(name: str, target: str, tmp_path: Path, agree: Agree) -> None:
     """NaN, infinities, zeros of both signs, denormals and borders through the cycle door."""
     build = BUILDS[CASES[name].example]
-    with capacities(builds, build):
+    with capacities(*build.defines):
         arm, effects, cycles = CASES[name].of()
         tiny = special(cycles, 2)
         sections = [cycles_section(flight.cycles_to_native(tiny), len(tiny)), *END]
-        host, records, _ = both(builds, tmp_path, target, build, flight.config_of(arm, effects), sections)
+        host, records, _ = both(tmp_path, target, build, flight.config_of(arm, effects), sections)
         verdicts = Counter(struct.unpack("<b", record.data)[0] for record in host if record.kind == "verdicts")
         assert verdicts[0] > 50
         assert verdicts[1] > 250
         agree(target, f"{name}, special doubles", f"{len(tiny):,} cycles", compare(host, records))
 
 
-def test_denormals_that_are_flushed_are_noticed(builds: Path, tmp_path: Path) -> None:
-    with capacities(builds, PAPER):
+def test_denormals_that_are_flushed_are_noticed(tmp_path: Path) -> None:
+    with capacities(*PAPER.defines):
         arm, _, cycles = CASES["paper"].of()
         tiny = special(cycles, 2)
         sections = [cycles_section(flight.cycles_to_native(tiny), len(tiny)), *END]
         config = flight.config_of(arm)
-        found = compare(*both(builds, tmp_path, "m7", PAPER, config, sections, drills=("drill_flush",))[:2])
+        found = compare(*both(tmp_path, "m7", PAPER, config, sections, drills=("drill_flush",))[:2])
         assert "zygos_" in found.first
 
 
@@ -253,24 +252,24 @@ def refused(change: Callable[[Any], None]) -> Any:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_a_configuration_is_refused_for_the_same_reason(target: str, builds: Path, tmp_path: Path) -> None:
+def test_a_configuration_is_refused_for_the_same_reason(target: str, tmp_path: Path) -> None:
     changes: list[tuple[str, Any]] = [
         ("joints", 3),
         ("period_s", 0.1),
         ("smoother_lag", 1),
         ("forgetting_factor", float("nan")),
     ]
-    with capacities(builds, PAPER):
+    with capacities(*PAPER.defines):
         for field, value in changes:
             config = refused(lambda c, f=field, v=value: setattr(c, f, v))
-            host, records, _ = both(builds, tmp_path, target, PAPER, config, END)
+            host, records, _ = both(tmp_path, target, PAPER, config, END)
             assert len(host) == 1
             assert struct.unpack("<i", host[0].data)[0] < 0
             assert records == host
 
 
-def test_the_place_of_a_byte(builds: Path) -> None:
-    with capacities(builds, PAPER):
+def test_the_place_of_a_byte() -> None:
+    with capacities(*PAPER.defines):
         kind = flight.ffi.typeof("zygos_t")
         offset = flight.ffi.offsetof("zygos_t", "accumulator", "block", 3, "gram", 5)
         assert place(kind, offset + 7) == ".accumulator.block[3].gram[5]"

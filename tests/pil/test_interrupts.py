@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from build_support import capacities
 from numpy.typing import NDArray
 
 from pil.conftest import Agree
@@ -18,11 +19,10 @@ from pil.live_support import compiled_in
 from pil.pil_support import (
     END,
     LIMIT_S,
-    PATIENT,
+    PAPER,
     TARGETS,
     Record,
     build_firmware,
-    capacities,
     compare,
     firmware,
     frames_section,
@@ -40,10 +40,10 @@ BETWEEN = {"m7": (100, 1_400), "m4f": (1_000, 16_000)}
 
 
 def stormed(
-    builds: Path, folder: Path, target: str, arm: Arm, frames: NDArray[Any], drills: tuple[str, ...] = ()
+    folder: Path, target: str, arm: Arm, frames: NDArray[Any], drills: tuple[str, ...] = ()
 ) -> tuple[Record, int]:
     """zygos_t behind frames that came in interrupts, and how many came while a cycle was worked off."""
-    elf = firmware(builds, target, "storm", PATIENT, compiled_in(builds, PATIENT, Flight(arm)), drills)
+    elf = firmware(target, "storm", PAPER, compiled_in(folder, Flight(arm)), drills)
     (folder / "storm.bin").write_bytes(struct.pack("<3I", len(frames), *BETWEEN[target]) + frames.tobytes())
     subprocess.run([*build_firmware.run(target, elf), *CLOCK], cwd=folder, check=True, timeout=LIMIT_S)
     out = (folder / "storm.out").read_bytes()
@@ -55,23 +55,21 @@ def in_order(arm: Arm, frames: NDArray[Any]) -> Record:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_frames_in_interrupts_give_the_bits_of_frames_in_order(
-    target: str, builds: Path, tmp_path: Path, agree: Agree
-) -> None:
-    with capacities(builds, PATIENT):
+def test_frames_in_interrupts_give_the_bits_of_frames_in_order(target: str, tmp_path: Path, agree: Agree) -> None:
+    with capacities(*PAPER.defines):
         arm, cycles = recorded("paper")
         frames = encode(arm, cycles)
-        found, interrupted = stormed(builds, tmp_path, target, arm, frames)
+        found, interrupted = stormed(tmp_path, target, arm, frames)
         what = f"zygos_t; {interrupted:,} of {len(frames):,} frames interrupted a step"
         agree(target, "paper, frames in interrupts", what, compare([in_order(arm, frames)], [found]))
         assert interrupted > len(frames) / 4
 
 
-def test_registers_that_are_not_saved_are_noticed(builds: Path, tmp_path: Path) -> None:
+def test_registers_that_are_not_saved_are_noticed(tmp_path: Path) -> None:
     """Without the processor's help, an interrupt that calculates destroys what the task calculates. Software keeps a
     double in core registers, which every interrupt saves; so this is for the Cortex-M7."""
-    with capacities(builds, PATIENT):
+    with capacities(*PAPER.defines):
         arm, cycles = recorded("paper")
         frames = encode(arm, cycles)
-        found, _ = stormed(builds, tmp_path, "m7", arm, frames, drills=("drill_context",))
+        found, _ = stormed(tmp_path, "m7", arm, frames, drills=("drill_context",))
         assert compare([in_order(arm, frames)], [found]).first

@@ -15,13 +15,14 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from build_support import capacities
 from cantools.database.can import Database
 from numpy.typing import NDArray
 from round_support import round_of, told
 
 from pil.conftest import Agree
 from pil.live_support import PATIENCE_S, Live, Settled, lines_of, running
-from pil.pil_support import PAPER, PATIENT, TARGETS, Comparison, Record, capacities, compare, recorded
+from pil.pil_support import HASTY, PAPER, TARGETS, Comparison, Record, compare, recorded
 from zygos.arm import Arm
 from zygos.can import bus
 from zygos.can.dbc import arm_database
@@ -98,11 +99,11 @@ def listening(live: Live) -> Iterator[tuple[can.BusABC, Listener]]:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_a_run_through_the_interrupt(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+def test_a_run_through_the_interrupt(target: str, tmp_path: Path, agree: Agree) -> None:
     """All frames at once: the interrupt takes them while the task works off cycles. The same bits as in order."""
-    with capacities(builds, PATIENT):
+    with capacities(*PAPER.defines):
         arm, frames = the_run()
-        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live, listening(live) as (line, _):
+        with running(tmp_path, target, PAPER, Flight(arm)) as live, listening(live) as (line, _):
             for message in bus.to_messages(frames, arm.period_s):
                 line.send(message)
             found = live.settle(len(frames))
@@ -112,14 +113,14 @@ def test_a_run_through_the_interrupt(target: str, builds: Path, tmp_path: Path, 
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_the_estimate_comes_back(target: str, builds: Path, tmp_path: Path) -> None:
+def test_the_estimate_comes_back(target: str, tmp_path: Path) -> None:
     """Telemetry by name, as cantools reads it: each round is the host's estimate behind the same SYNC."""
-    with capacities(builds, PATIENT):
+    with capacities(*PAPER.defines):
         arm, frames = the_run()
         at = np.flatnonzero(frames["id"] == 0x080)
         begins = at[: 9 * EVERY : EVERY]
         host, done, expected, database = Flight(arm), 0, [], arm_database(arm)
-        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live, listening(live) as (line, listener):
+        with running(tmp_path, target, PAPER, Flight(arm)) as live, listening(live) as (line, listener):
             for begin, end in itertools.pairwise(begins):
                 for message in bus.to_messages(frames[done : begin + 1], arm.period_s):
                     line.send(message)
@@ -175,11 +176,10 @@ def spoiled(rng: np.random.Generator, line: bytes) -> bytes:
             return b"t8" + line[2:]  # no identifier of 11 bits
 
 
-@pytest.mark.parametrize("target", TARGETS)
-def test_spoiled_lines(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+def test_spoiled_lines(tmp_path: Path, agree: Agree) -> None:
     """Garbage, cut and overlong lines: each is answered by BEL, counted and without effect on the frames around it."""
     rng = np.random.default_rng(3)
-    with capacities(builds, PATIENT):
+    with capacities(*PAPER.defines):
         arm, frames = the_run()
         frames = frames[:1400]
         stream, bad = [b"\r\r\rC\rS8\rO\r"], 0
@@ -188,7 +188,7 @@ def test_spoiled_lines(target: str, builds: Path, tmp_path: Path, agree: Agree) 
                 stream.append(spoiled(rng, line))
                 bad += 1
             stream.append(line)
-        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live:
+        with running(tmp_path, "m7", PAPER, Flight(arm)) as live:
             answers = exchange(live, b"".join(stream), len(frames) + bad)
             found = live.settle(len(frames) + bad)
             assert live.lines() == (len(frames), bad)
@@ -196,14 +196,13 @@ def test_spoiled_lines(target: str, builds: Path, tmp_path: Path, agree: Agree) 
             assert b"F00\r" in exchange(live, b"F\r", 0)
         assert answers.count(b"\a") == bad
         assert answers.count(b"z\r") == len(frames)
-        agree(target, "paper, spoiled lines", f"{bad} of them", same(arm, frames, found))
+        agree("m7", "paper, spoiled lines", f"{bad} of them", same(arm, frames, found))
 
 
-@pytest.mark.parametrize("target", TARGETS)
-def test_lost_characters(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+def test_lost_characters(tmp_path: Path, agree: Agree) -> None:
     """What an overrun of the UART does to the lines: they are refused, their cycles are incomplete, nothing else."""
     rng = np.random.default_rng(4)
-    with capacities(builds, PATIENT):
+    with capacities(*PAPER.defines):
         arm, frames = the_run()
         frames = frames[:2800]
         text = np.frombuffer(b"".join(lines_of(bus.to_messages(frames, arm.period_s))), np.uint8)
@@ -211,7 +210,7 @@ def test_lost_characters(target: str, builds: Path, tmp_path: Path, agree: Agree
         *lines, rest = kept.split(b"\r")
         good = np.array([well_formed(line) for line in lines])
         survived = [read(line) for line, ok in zip(lines, good, strict=True) if ok]
-        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live:
+        with running(tmp_path, "m7", PAPER, Flight(arm)) as live:
             exchange(live, b"O\r" + kept, len(lines))
             found = live.settle(len(lines))
             assert live.lines() == (int(good.sum()), int((~good).sum()))
@@ -220,7 +219,7 @@ def test_lost_characters(target: str, builds: Path, tmp_path: Path, agree: Agree
         state = flight.ffi.from_buffer("zygos_t *", found.state)
         assert state.receiver.faults.incomplete > 30
         assert state.gaps > 10
-        agree(target, "paper, lost characters", "what survived", same(arm, left, found))
+        agree("m7", "paper, lost characters", "what survived", same(arm, left, found))
 
 
 def well_formed(line: bytes) -> bool:
@@ -254,14 +253,13 @@ def exchange(live: Live, text: bytes, lines: int) -> bytes:
     return bytes(out)
 
 
-@pytest.mark.parametrize("target", TARGETS)
-def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+def test_a_task_that_is_held_up(tmp_path: Path, agree: Agree) -> None:
     """The queue runs over: as many cycles as were lost are counted, the arc ends, and the rest is as on the host."""
-    with capacities(builds, PAPER):
+    with capacities(*HASTY.defines):
         arm, frames = the_run()
         frames = frames[: np.flatnonzero(frames["id"] == 0x080)[100] + 1]
         with (
-            running(builds, tmp_path, target, PAPER, Flight(arm), drills=("drill_stall",)) as live,
+            running(tmp_path, "m7", HASTY, Flight(arm), drills=("drill_stall",)) as live,
             listening(live) as (line, _),
         ):
             for k, message in enumerate(bus.to_messages(frames, arm.period_s)):
@@ -275,15 +273,15 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
         assert lost >= 5
         assert state.cycles == 100 - lost
         assert state.gaps == 1
-        agree(target, "paper, task held up", f"{lost} cycles lost", same(arm, frames, found, lost))
+        agree("m7", "paper, task held up", f"{lost} cycles lost", same(arm, frames, found, lost))
 
 
-def test_a_pseudo_terminal(builds: Path, tmp_path: Path) -> None:
+def test_a_pseudo_terminal(tmp_path: Path) -> None:
     """The other way to a serial line, and what adapters say of themselves."""
-    with capacities(builds, PATIENT):
+    with capacities(*PAPER.defines):
         arm, frames = the_run()
         frames = frames[:350]
-        with running(builds, tmp_path, "m7", PATIENT, Flight(arm), line="pty") as live:
+        with running(tmp_path, "m7", PAPER, Flight(arm), line="pty") as live:
             line: Any = live.bus()
             line.set_bitrate(500_000)
             assert line.get_serial_number(timeout=10) == "ZYGO"
@@ -295,12 +293,12 @@ def test_a_pseudo_terminal(builds: Path, tmp_path: Path) -> None:
         assert not same(arm, frames, found).first
 
 
-def test_a_closed_channel(builds: Path, tmp_path: Path) -> None:
+def test_a_closed_channel(tmp_path: Path) -> None:
     """Before O and behind C no frame comes in, and none goes out."""
-    with capacities(builds, PATIENT):
+    with capacities(*PAPER.defines):
         arm, frames = the_run()
         text = b"".join(lines_of(bus.to_messages(frames[:70], arm.period_s)))
-        with running(builds, tmp_path, "m7", PATIENT, Flight(arm)) as live:
+        with running(tmp_path, "m7", PAPER, Flight(arm)) as live:
             assert exchange(live, text, 70) == b"\a" * 70
             untouched = live.memory("arm")
             assert exchange(live, b"S9\rO\rS8\rC\r", 72) == b"\a\r\a\r"

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from build_support import capacities
 
 from pil.conftest import Agree, Measured
 from pil.pil_support import (
     END,
     Build,
-    capacities,
     compare,
     firmware,
     frames_section,
@@ -56,16 +56,16 @@ SMALL = {
 
 
 @pytest.mark.parametrize("example", SMALL)
-def test_everything_fits(example: str, builds: Path, tmp_path: Path, agree: Agree, measured: Measured) -> None:
+def test_everything_fits(example: str, tmp_path: Path, agree: Agree, measured: Measured) -> None:
     """Frames, all rows with compensation, and an estimate in place, in RAM that holds nothing else."""
     small = SMALL[example]
-    with capacities(builds, small.build):
+    with capacities(*small.build.defines):
         arm, cycles = recorded(example)
         arm = replace(arm, arc_max_s=0.3, momentum_max_s=0.3, impulse_arc_s=0.3)
         config = flight.config_of(arm)
         assert config.compensation > 0
         sections = [frames_section(flight.encode(arm, cycles)), *END]
-        elf = firmware(builds, "m7", "bulk", small.build, small.flags, board="mps2-an500-small")
+        elf = firmware("m7", "bulk", small.build, small.flags, board="mps2-an500-small")
         records, sizes = on_target("m7", elf, tmp_path, config, sections)
         host = on_host(config, sections, in_place=True)
         agree(
@@ -81,7 +81,7 @@ def test_everything_fits(example: str, builds: Path, tmp_path: Path, agree: Agre
         assert sizes.stack <= 0.8 * small.stack_bytes
 
 
-def test_what_does_not_fit_does_not_link(builds: Path) -> None:
+def test_what_does_not_fit_does_not_link() -> None:
     small = replace(SMALL["spatial"], ram_bytes=384_000)
     with pytest.raises(Exception, match="returned non-zero exit status"):
-        firmware(builds, "m7", "bulk", small.build, small.flags, board="mps2-an500-small")
+        firmware("m7", "bulk", small.build, small.flags, board="mps2-an500-small")

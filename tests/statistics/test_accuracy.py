@@ -44,11 +44,13 @@ def test_batch_reference_with_exact_data_reaches_table_4(arm: Arm, clean: Clean,
 
 
 @pytest.mark.slow
-def test_noise_free_errors_fall_tenfold_with_each_halving(arm: Arm, clean: Clean, true: Floats) -> None:
+def test_noise_free_errors_fall_tenfold_with_each_halving(
+    arm: Arm, model: Model, scenario: Scenario, true: Floats
+) -> None:
     """Cycle door: no quantisation of the wire."""
     worst = {}
     for period in (0.05, 0.02, 0.01, 0.005):
-        trajectory = clean(period)
+        trajectory = trajectory_of(arm, model, scenario, noise=False, period_s=period, duration_s=25.0, rtol=1e-10)
         silent = replace(trajectory.arm, compensate_every=0)
         worst[period] = score(through_cycles(silent, trajectory.cycles()).value, true).worst
     assert worst[0.05] <= 0.3
@@ -143,7 +145,7 @@ def test_a_snap_of_a_300_s_run_is_survived(arm: Arm, model: Model, true: Floats)
     for k in range(3):
         q1, q2 = scenario.initial_angles_rad
         start = replace(scenario, initial_angles_rad=(q1 + k * 1e-11, q2))
-        cycles = trajectory_of(arm, model, start).cycles()
+        cycles = trajectory_of(arm, model, start, rtol=1e-9).cycles()
         plain.append(score(without_constants(blind, cycles), true).mean)
         estimate = through_cycles(arm, cycles)
         assert estimate.validity == "valid"
@@ -174,7 +176,7 @@ def test_a_motion_too_fast_for_its_sample_rate_says_so(arm: Arm, clean: Clean) -
 def test_no_beginning_of_a_run_gives_wild_numbers(arm: Arm, noisy: Trajectory, true: Floats) -> None:
     """Until the motion determines every parameter through the noise, there is no number."""
     answered = 0
-    for seed in range(10):
+    for seed in range(5):
         cycles = noisy.cycles(seed)
         for n in range(40, 1200, 40):
             names = Cycles.__dataclass_fields__
@@ -183,7 +185,7 @@ def test_no_beginning_of_a_run_gives_wild_numbers(arm: Arm, noisy: Trajectory, t
             answered += bool(known.all())
             error = np.abs(estimate.value / true - 1.0)[known]
             assert np.all(error <= 0.5), (seed, n, estimate.validity)
-    assert answered > 150
+    assert answered > 75
 
 
 @pytest.mark.slow
@@ -225,7 +227,7 @@ def test_pieces_of_a_run_with_fine_encoders_give_no_wild_numbers(arm: Arm, model
 def test_an_arm_at_rest_identifies_nothing(arm: Arm, model: Model, scenario: Scenario) -> None:
     still = {joint: replace(motion, sines=()) for joint, motion in scenario.manoeuvre.items()}
     rest = replace(scenario, manoeuvre=still, angular_momentum_nms=0.0)
-    trajectory = trajectory_of(arm, model, rest, seeds=range(4), noise=True)
+    trajectory = trajectory_of(arm, model, rest, seeds=range(4), noise=True, duration_s=30.0, rtol=1e-9)
     for k in range(4):
         estimate = through_cycles(arm, trajectory.cycles(k))
         assert (estimate.validity, np.isfinite(estimate.value).any()) == ("refused", False)

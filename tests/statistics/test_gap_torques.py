@@ -8,18 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runs_support import trajectory_of
+from gap_support import example, noisy
 
-from zygos.arm import load_arm
 from zygos.gap.explain import explain
 from zygos.gap.forecast import Forecast
 from zygos.gap.record import MeasuredRun, read_measured_run
 from zygos.gap.torques import with_torque_noise
-from zygos.model.model import load_model
 from zygos.native.flight import encode
-from zygos.simulation.scenario import load_scenario
 
-GAP = Path(__file__).parents[2] / "examples" / "gap"
 NOISE = np.array([0.04, 0.02])
 """Nm."""
 JITTER = 0.03
@@ -27,14 +23,10 @@ JITTER = 0.03
 
 
 @cache
-def clean(name: str, duration_s: float = 30.0) -> MeasuredRun:
+def clean(name: str, duration_s: float = 16.0) -> MeasuredRun:
     """A run of the example's arm, whose torques have no error."""
-    arm, model = load_arm(GAP / "arm.toml"), load_model(GAP / "cad.toml")
-    seed = "abc".index(name)
-    run = trajectory_of(
-        arm, model, load_scenario(GAP / f"{name}.toml"), seeds=[seed], noise=True, duration_s=duration_s
-    )
-    return read_measured_run(arm, Path(f"{name}.blf"), encode(arm, run.cycles()))
+    run = noisy(name, duration_s)
+    return read_measured_run(run.arm, Path(f"{name}.blf"), encode(run.arm, run.cycles()))
 
 
 def changed(run: MeasuredRun, seed: int, noise: float = 1.0, gain: float = 0.0, jitter: float = 0.0) -> MeasuredRun:
@@ -55,13 +47,13 @@ def found(*runs: MeasuredRun) -> tuple[np.ndarray, np.ndarray]:
     return likely, most
 
 
-@pytest.mark.slow
 def test_noise_is_found() -> None:
     likely, most = found(changed(clean("a"), 0), changed(clean("b"), 1))
     np.testing.assert_allclose(likely, NOISE, rtol=0.25)
     assert np.all(most > 0.9 * NOISE)
 
 
+@pytest.mark.slow
 def test_jitter_that_acts_is_no_noise() -> None:
     likely, _ = found(*(changed(clean(name), k, noise=0.0, jitter=JITTER) for k, name in enumerate("ab")))
     # the fast part of the torques alone says 0.03 Nm
@@ -71,7 +63,7 @@ def test_jitter_that_acts_is_no_noise() -> None:
 def test_noise_beside_jitter_is_found() -> None:
     likely, most = found(*(changed(clean(name), k, jitter=JITTER) for k, name in enumerate("ab")))
     assert likely[0] == pytest.approx(NOISE[0], rel=0.3)
-    # of half a minute, 0.02 Nm are not told from none
+    # of a quarter of a minute, 0.02 Nm are not told from none
     assert likely[1] < 1.3 * NOISE[1] < 1.5 * most[1]
 
 
@@ -84,8 +76,8 @@ def test_torques_without_noise_have_none() -> None:
 @pytest.mark.slow(but=["0.03-*"])
 @pytest.mark.parametrize(("gain", "answer"), [(0.0, ""), (0.03, "remark"), (0.2, "named")])
 def test_a_wrong_gain_is_said(gain: float, answer: str) -> None:
-    runs = [changed(clean(name), k, gain=gain) for k, name in enumerate("abc")]
-    verdict = explain(runs[0].arm, load_model(GAP / "cad.toml"), runs[:2], runs[2:])
+    runs = [changed(clean(name, 30.0 if answer == "named" else 16.0), k, gain=gain) for k, name in enumerate("abc")]
+    verdict = explain(runs[0].arm, example()[1], runs[:2], runs[2:])
     gains = [finding for finding in verdict.findings if finding.kind == "torque_gain"]
     assert bool(gains) == (answer == "named")
     assert ("gain" in verdict.sentence) == bool(gains)

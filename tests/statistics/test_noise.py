@@ -21,8 +21,8 @@ from zygos.effects import CATALOGUE, Effect
 from zygos.native.flight import Flight
 from zygos.runs.cycles import Cycles
 
-DRAWS = 100_000
-PAIRS = 150
+DRAWS = 10_000
+PAIRS = 70
 LATE = (1500, 2300, 900)
 """Link encoders, motor encoders and gyro, us."""
 PAPER = Path(__file__).parents[2] / "examples" / "paper" / "arm.toml"
@@ -158,7 +158,7 @@ def every_effect(arm: Arm) -> list[Effect]:
 
 
 RANDOM = [
-    (seed, joints, base, kinetic, kind)
+    (seed, joints, base, kinetic, kind, (None, 1, 2, 3)[seed % 4])
     for seed, (joints, base, kinetic, kind) in enumerate(
         [
             (1, "free", "spatial", "flexible"),
@@ -176,18 +176,18 @@ RANDOM = [
         ]
     )
 ]
+"""Of these twelve, each law of the torques meets each way to take the noise off."""
 
 
-@pytest.mark.slow(but=["*-None", "*-3"])
-@pytest.mark.parametrize("every", [None, 1, 2, 3])
-@pytest.mark.parametrize(("seed", "joints", "base", "kinetic", "kind"), RANDOM)
+@pytest.mark.slow(only=["*-7-*"])
+@pytest.mark.parametrize(("seed", "joints", "base", "kinetic", "kind", "every"), RANDOM)
 def test_library_and_twin(seed: int, joints: int, base: str, kinetic: str, kind: str, every: int | None) -> None:
     flexible = [{"flexible": True, "rigid": False, "mixed": i % 2 == seed % 2}[kind] for i in range(joints)]
     arm, _ = random_arm(seed, joints, base, kinetic, flexible)  # type: ignore[arg-type]
     law = ("applied_from_sync", "applied_previous_cycle", "sampled")[seed % 3]
     arm = measured(arm, period_s=0.02, sigma=2e-5, gyro=4e-4, latch_us=LATE)
     arm = replace(arm, torque_law=law, compensate_every=every, arc_max_s=2.3)  # type: ignore[arg-type]
-    cycles = moving(arm, 400)
+    cycles = moving(arm, 280)
     cycles = with_noise(cycles, noises(np.random.default_rng(seed), arm, cycles))
     cycles.q[57, 0] += 0.01  # the bandwidth test refuses the instants around
     cycles.theta[62, 0] += 0.01
@@ -222,7 +222,7 @@ def test_switched_off() -> None:
     np.testing.assert_array_equal(NoiseRoom(arm).mean(state_of(arm)[0]), 0.0)
 
 
-@pytest.mark.slow(only=["planar", "rigid"])
+@pytest.mark.slow(but=["paper"])
 @pytest.mark.parametrize("name", ["paper", "planar", "fixed plane", "rigid"])
 def test_sums_of_a_run_are_those_without_noise(name: str) -> None:
     """The whole chain, integrals included: what is summed over noisy runs is on average what a silent run sums.
@@ -265,6 +265,7 @@ def test_sums_of_a_run_are_those_without_noise(name: str) -> None:
     assert not agree(drawn, 0.1 * added, floor)
 
 
+@pytest.mark.slow(but=["paper", "rigid"])
 @pytest.mark.parametrize("name", ["paper", "planar", "fixed plane", "rigid"])
 def test_what_is_integrated_is_correlated_with_the_instant(name: str) -> None:
     """Half the difference of a noisy run and its opposite is linear in the noise: its squares are what is summed.

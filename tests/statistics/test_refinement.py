@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from refine_support import Case, Score, drawing, plant, runs, score
+from refine_support import Case, Score, drawing, plant, runs, scenario_of, score
 
 from bench.refinement import CASES
-from conftest import ROOT
 from zygos.refinement.bound import bound
-from zygos.simulation.scenario import load_scenario
 
-SEEDS = range(20)
+SEEDS = range(8)
 STANDARD_ERRORS = 3.0
-INCOMPLETE = [name for name, case in CASES.items() if not name.startswith(("complete", "space"))]
+BETWEEN = re.compile(r"of (2|5|10) ms|elbow (0.5|2) %|(1|3|10) Nm/|motors, 0.01 Nm$|motors, 0.1 Nm|joints, 2 Nm")
+INCOMPLETE = [
+    name
+    for name in CASES
+    if not name.startswith(("complete", "space")) and (name.startswith("declared") or not BETWEEN.search(name))
+]
+"""Of what a plant has more: the least and the most, and what a declared noise of 5 % could hide."""
 
 
 def scores(case: Case) -> list[Score]:
@@ -27,11 +34,11 @@ def scores(case: Case) -> list[Score]:
     ids=["steps of the frames", "0.5 %"],
 )
 def test_errors_are_near_the_bound_and_intervals_hold(noise: float, times: float) -> None:
-    case = Case(noise=noise)
+    case = Case(noise=noise, duration_s=45.0)
     found = scores(case)
     assert all(one.published for one in found), [one.reason for one in found]
     error, sigma = (np.array([getattr(one, key) for one in found]) for key in ("error", "sigma"))
-    (best,) = bound(case.arm, plant("paper"), load_scenario(ROOT / "examples" / "paper" / "scenario.toml"))
+    (best,) = bound(case.arm, plant("paper"), replace(scenario_of("paper"), duration_s=case.duration_s))
     rms = np.sqrt(np.mean(error**2, axis=0))
     assert np.mean(rms / (0.01 * best.percent)) < times
     # parameters are correlated, so that runs are counted, not intervals
@@ -44,20 +51,17 @@ def test_errors_are_near_the_bound_and_intervals_hold(noise: float, times: float
 @pytest.mark.slow
 @pytest.mark.parametrize("name", INCOMPLETE)
 def test_no_published_value_is_far_off(name: str) -> None:
-    for seed, run in runs(CASES[name], range(2)).items():
-        result = score(CASES[name], run)
-        assert not result.harmful, seed
-        if not name.startswith("gain of the elbow 0.1 %"):  # no error above 0.1 %
-            assert not result.published, seed
+    result = score(CASES[name], runs(CASES[name], [0])[0])
+    assert not result.harmful
+    assert not result.published or name.startswith("gain of the elbow 0.1 %")  # no error above 0.1 %
 
 
 @pytest.mark.slow
 def test_in_space_errors_are_near_the_bound() -> None:
-    case = Case("spatial")
-    for seed, run in runs(case, range(1)).items():
-        result = score(case, run, drawing("spatial", seed))
-        assert result.published, result.reason
-        assert result.found is not None and result.found.times_bound is not None
-        assert np.mean(result.found.times_bound) < 1.1
-        assert np.sqrt(np.mean((result.error / result.sigma) ** 2)) < 1.5
-        assert result.inertia is not None and result.inertia[0] < 0.06
+    case = Case("spatial", duration_s=40.0)
+    result = score(case, runs(case, [0])[0], drawing("spatial", 0))
+    assert result.published, result.reason
+    assert result.found is not None and result.found.times_bound is not None
+    assert np.mean(result.found.times_bound) < 1.1
+    assert np.sqrt(np.mean((result.error / result.sigma) ** 2)) < 1.5
+    assert result.inertia is not None and result.inertia[0] < 0.06

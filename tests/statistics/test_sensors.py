@@ -108,7 +108,7 @@ def test_first_draws_of_a_seed() -> None:
 
 def test_cycles_carry_the_declared_errors() -> None:
     _, model, scenario = lively()
-    run = trajectory_of(loud(), model, scenario, seeds=range(3), duration_s=20.0)
+    run = trajectory_of(loud(), model, scenario, seeds=range(3), duration_s=20.0, rtol=1e-9)
     readings = [run.cycles(i) for i in range(3)]
     assert_gaussian(np.array([cycles.q for cycles in readings])[..., 0] - run.q[..., 0], 0.003 / np.sqrt(12))
     assert_gaussian(np.array([cycles.theta for cycles in readings])[..., 1] - run.theta[..., 1], 0.003 / np.sqrt(12))
@@ -120,7 +120,7 @@ def test_cycles_carry_the_declared_errors() -> None:
 
 def test_quantised_encoders() -> None:
     arm, model, scenario = lively()
-    run = trajectory_of(arm, model, replace(scenario, encoder_noise="quantised"), duration_s=60.0)
+    run = trajectory_of(arm, model, replace(scenario, encoder_noise="quantised"), duration_s=20.0, rtol=1e-9)
     cycles = run.cycles()
     for reading, truth in ((cycles.q, run.q[0]), (cycles.theta, run.theta[0])):
         steps = reading / 0.003

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from flight_support import balanced, energy_only
@@ -121,9 +122,10 @@ def readings(arm: Arm, link: Floats, motor: Floats, base: Floats) -> Cycles:
     )
 
 
-def record_of(case: Case, arm: Arm) -> Cycles:
-    """Sums of sines with torques that balance them, and noise on top."""
-    rng = np.random.default_rng(7)
+@cache
+def record_of(case: Case) -> Cycles:
+    """Sums of sines with torques that balance them, and noise on top. Read-only."""
+    arm, rng = arm_of(case), np.random.default_rng(7)
     t = PERIOD * np.arange(CYCLES)[:, None]
     i = np.arange(arm.n)
     link = 0.9 * np.sin((0.91 - 0.13 * i) * t + i) + 0.5 * np.cos((1.73 + 0.21 * i) * t)

@@ -39,7 +39,7 @@ from zygos.simulation.scenario import Controller, Scenario, Sine, load_scenario
 
 Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).parents[2] / "examples"
-PERIOD_S = 0.001
+PERIOD_S = 0.002
 DURATION_S = 1.6
 NADIR = (0.48, -0.6, 0.64)
 """Where the Earth is when a run of an arm that floats in space begins."""

@@ -29,27 +29,11 @@ CHOSEN = {
 """Physical parameters of a two-joint arm."""
 
 
-def flushed(flight: Flight) -> Any:
-    """A copy of the sums in which no task is open and nothing waits in buffers: zygos_work_t."""
-    work = ffi.new("zygos_work_t *")
-    lib.zygos_take(flight.native, work)
-    sums = ffi.addressof(work.accumulator)
-    lib.zygos_accumulator_settle(sums)
-    lib.zygos_accumulator_flush(sums)
-    return work
-
-
 def symmetric(packed: Any, width: int) -> Floats:
     """(width, width) from a lower triangle by rows."""
     out = np.zeros((width, width))
     out[np.tril_indices(width)] = np.frombuffer(ffi.buffer(packed))[: width * (width + 1) // 2]
     return np.asarray(out + np.tril(out, -1).T)
-
-
-def arcs_of(flight: Flight) -> int:
-    """The arcs that have ended and were admitted, that one which is closing included."""
-    work = flushed(flight)  # its memory is free when nothing has it
-    return int(work.accumulator.arcs)
 
 
 def energy_only(arm: Arm, *, noise: bool = False) -> Arm:

@@ -28,6 +28,15 @@ def example(run: str = "a") -> tuple[Arm, Model, Scenario]:
     return load_arm(GAP / "arm.toml"), load_model(GAP / "cad.toml"), load_scenario(GAP / f"{run}.toml")
 
 
+@cache
+def base_values() -> Floats:
+    """(p,) of the example's model."""
+    arm, model, _ = example()
+    values = model.base_values(arm)
+    values.flags.writeable = False
+    return values
+
+
 def effect(arm: Arm, key: str, joint: int, value: float) -> Effect:
     """An entry of the catalogue at a joint (from 0; -1 for the base)."""
     return Effect(CATALOGUE[key], arm.joints[joint].name if joint >= 0 else None, value)
@@ -40,6 +49,14 @@ def moved(run: str, duration_s: float, *effects: Effect) -> Trajectory:
     return trajectory_of(
         arm, replace(model, effects=effects), scenario, noise=False, duration_s=duration_s, rtol=1e-10, atol=1e-12
     )
+
+
+@cache
+def noisy(run: str, duration_s: float = 16.0) -> Trajectory:
+    """A run of the example at 100 Hz with the noise of its sensors, whose servo sees truly quantised encoders."""
+    arm, model, scenario = example(run)
+    assert scenario.encoder_noise == "quantised"
+    return trajectory_of(arm, model, scenario, noise=True, duration_s=duration_s, period_s=0.01, rtol=1e-9, atol=1e-11)
 
 
 def exact(trajectory: Trajectory) -> Readings:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from arm_support import random_arm
+from arm_support import State, random_arm, random_state
 from laboratory_support import laboratory_arm
 from numpy.typing import NDArray
 
@@ -25,6 +25,14 @@ FLEXIBLE: dict[str, Callable[[int], bool]] = {
     "mixed": lambda i: i % 2 == 1,
 }
 """Which joints of an arm are flexible, by the name of the kind."""
+
+
+def sampled_arm(joints: int, base: str, kinetic: str, kind: str, states: int = 2) -> tuple[Arm, Model, list[State]]:
+    """A random arm whose joints are flexible as `kind` says, and random states of it."""
+    flexible = [FLEXIBLE[kind](i) for i in range(joints)]
+    arm, model = random_arm(joints, joints, base, kinetic, flexible)  # type: ignore[arg-type]
+    rng = np.random.default_rng(joints)
+    return arm, model, [random_state(rng, arm) for _ in range(states)]
 
 
 @dataclass(frozen=True)

@@ -11,29 +11,59 @@ import subprocess
 import tempfile
 import termios
 import time
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cli_support import run
 from numpy.typing import NDArray
 
-from conftest import ROOT
+from conftest import EXAMPLE, ROOT
+from zygos.native import snapshot
 from zygos.native.flight import FRAME, Flight, ffi
 from zygos.testing.dut import hear as heard
 
 NODE = ROOT / "build" / "zygos-node"
+SYNC, TELEMETRY = 0x080, 0x1A0
+Log = NDArray[Any]
 
 EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
 """Bits of a frame's flags."""
 
 
+@cache
 def build() -> Path:
-    """The node of this tree. Several tests may ask at once."""
-    own = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    """The node of this tree. Several processes may ask at once."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
     with (Path(tempfile.gettempdir()) / "zygos-node.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        subprocess.run(["make", "--silent", "node"], cwd=ROOT, env=own, check=True)
+        subprocess.run(["make", "--silent", "node"], cwd=ROOT, env=environment, check=True)
     return NODE
+
+
+@cache
+def _symbol() -> int:
+    """Where in the program its zygos_t is."""
+    symbols = subprocess.run(["nm", NODE], capture_output=True, text=True, check=True).stdout.splitlines()
+    (symbol,) = (int(line.split()[0], 16) for line in symbols if line.split()[1:] == ["b", "arm"])
+    return symbol
+
+
+def compiled(folder: Path, arm_file: Path = EXAMPLE / "arm.toml", *more: object) -> Path:
+    """The configuration of an arm file for the node."""
+    assert run("compile-model", arm_file, "-o", folder, *more) == 0
+    return folder / "arm.zyg"
+
+
+def image(flight: Flight) -> bytes:
+    """The memory of a flight of this process."""
+    return bytes(ffi.buffer(flight.native))
+
+
+def saved(path: Path) -> bytes:
+    """The memory of a flight in a stored state."""
+    return bytes(ffi.buffer(snapshot.read(path, "state")))
 
 
 def packet(frame: Any) -> bytes:
@@ -51,7 +81,7 @@ def frame_of(identifier: int, data: bytes = b"", flags: int = 0) -> Any:
     return out[0]
 
 
-def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0) -> None:
+def hear(flight: Flight, frames: Log, every: int = 100, syncs: int = 0) -> None:
     """What a node does with frames that it hears behind so many SYNCs."""
     for _ in heard(flight, frames, every, syncs):
         pass
@@ -109,11 +139,11 @@ class Node:
             assert len(data) == 16
             self.answers.append((identifier, data[8 : 8 + length]))
 
-    def send(self, frames: NDArray[Any]) -> None:
+    def send(self, frames: Log) -> None:
         """Send `FRAME` records, listening meanwhile."""
         for frame in frames:
             self.near.send(packet(frame))
-            if frame["id"] == 0x080:
+            if frame["id"] == SYNC:
                 self.listen()
 
     def wait(self) -> tuple[int, dict[str, int], str]:
@@ -160,12 +190,10 @@ class Node:
 
     def _arm(self) -> int:
         """Address of its zygos_t: where the program was loaded, and where in it the symbol is."""
-        symbols = subprocess.run(["nm", NODE], capture_output=True, text=True, check=True).stdout.splitlines()
-        (symbol,) = (int(line.split()[0], 16) for line in symbols if line.split()[1:] == ["b", "arm"])
         maps = Path(f"/proc/{self.process.pid}/maps").read_text().splitlines()
         begin = next(int(line.split("-")[0], 16) for line in maps if line.endswith(str(NODE)))
-        return begin + symbol
+        return begin + _symbol()
 
     def of(self, identifier: int) -> list[bytes]:
         """The data of all answers with an identifier."""
-        return [data for one, data in self.answers if one == identifier]
+        return [data for sent, data in self.answers if sent == identifier]

@@ -16,9 +16,14 @@ Floats = NDArray[np.float64]
 LIVELY = Path(__file__).parents[2] / "examples" / "lively"
 
 
+def example(name: str) -> tuple[Arm, Model, Scenario]:
+    """Arm, model and scenario of a folder of examples/."""
+    folder = LIVELY.parent / name
+    return load_arm(folder / "arm.toml"), load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
+
+
 def lively() -> tuple[Arm, Model, Scenario]:
-    """Arm, model and scenario of examples/lively."""
-    return (load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), load_scenario(LIVELY / "scenario.toml"))
+    return example("lively")
 
 
 def random_arm(rng: np.random.Generator, joints: int, kinetic: Kinetic = "planar") -> tuple[Arm, Model]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from runs_support import kept
 from scipy.integrate import solve_ivp
 
 from zygos.arm import Arm, load_arm
@@ -111,8 +112,15 @@ class Motion:
         )  # fmt: skip
 
 
-def move(arm: Arm, duration: float = 12.0, momentum: float = 0.4) -> Motion:
+def move(arm: Arm, duration: float = 4.0, momentum: float = 0.4) -> Motion:
     """Drive the arm by a PD law with a held torque, towards moving targets; it starts undeflected, in slow rotation."""
+    motion: Motion = kept(
+        lambda: _moved(arm, duration, momentum), ("support.reference_support",), arm, duration, momentum
+    )
+    return motion
+
+
+def _moved(arm: Arm, duration: float, momentum: float) -> Motion:
     h = arm.period_s
     n = round(duration / h) + 1
     pi = true_parameters(arm)
@@ -136,7 +144,7 @@ def move(arm: Arm, duration: float = 12.0, momentum: float = 0.4) -> Motion:
             acceleration = _accelerations(arm, pi, x, held)
             return np.concatenate([x[4:8], acceleration[1:], acceleration[:1], (x[6:8] - x[4:6]) ** 2])
 
-        state = solve_ivp(rate, (0.0, h), state, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+        state = solve_ivp(rate, (0.0, h), state, "DOP853", rtol=1e-9, atol=1e-11, first_step=h).y[:, -1]
     angles, rates = states[:, 0:4], states[:, 4:8]
     return Motion(
         t=t, q=angles[:, :2], theta=angles[:, 2:], qd=rates[:, :2], thetad=rates[:, 2:], f0=states[:, 8], tau=torque,

@@ -21,7 +21,8 @@ from zygos.refinement.inertia import inertia_errors
 from zygos.refinement.refine import Refinement, refine_runs
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import Trajectory
-from zygos.simulation.scenario import load_scenario
+from zygos.simulation.scenario import Scenario, load_scenario
+from zygos.simulation.sensors import draw_noise
 
 Floats = NDArray[np.float64]
 
@@ -114,23 +115,31 @@ def drawing(example: str, seed: int, share: float = 0.01) -> Model:
 
 @cache
 def moved(
-    example: str, noise: float, effects: tuple[tuple[str, float], ...], seeds: tuple[int, ...], duration_s: float | None
+    example: str, effects: tuple[tuple[str, float], ...], duration_s: float | None, rtol: float = 1e-10
 ) -> Trajectory:
-    """Simulated runs of several seeds."""
-    scenario = load_scenario(ROOT / "examples" / example / "scenario.toml")
+    """One simulated motion. The noise of the torques has no part in it, and that of other seeds may be read from it."""
+    arm = load_arm(ROOT / "examples" / example / "arm.toml")
     return trajectory_of(
-        noisy(example, noise), plant(example, effects), scenario, seeds=seeds, duration_s=duration_s,
-        rtol=1e-10, atol=1e-12,
-    )  # fmt: skip
+        arm, plant(example, effects), scenario_of(example), seeds=[0], duration_s=duration_s, rtol=rtol, atol=rtol / 100
+    )
+
+
+def scenario_of(example: str) -> Scenario:
+    """The motion of an example."""
+    return load_scenario(ROOT / "examples" / example / "scenario.toml")
+
+
+def sensed(case: Case, seed: int, run: Trajectory) -> Cycles:
+    """What the sensors of a seed say of a motion."""
+    arm, encoder_noise = noisy(case.example, case.noise), scenario_of(case.example).encoder_noise
+    noise = draw_noise(arm, len(run.t), [seed], encoder_noise)
+    return reported(case, seed, replace(run, noise=noise).cycles())
 
 
 def runs(case: Case, seeds: Sequence[int]) -> Mapping[int, Run]:
     """What the sensors of each seed say, as frames of the bus."""
-    trajectory = moved(case.example, case.noise, case.effects, tuple(seeds), case.duration_s)
-    answers = {}
-    for place, seed in enumerate(seeds):
-        answers[seed] = Run.of_cycles(case.arm, reported(case, seed, trajectory.cycles(place)))
-    return answers
+    run = moved(case.example, case.effects, case.duration_s)
+    return {seed: Run.of_cycles(case.arm, sensed(case, seed, run)) for seed in seeds}
 
 
 def reported(case: Case, seed: int, cycles: Cycles) -> Cycles:
@@ -165,11 +174,7 @@ def score(case: Case, run: Run, prior: Model | None = None) -> Score:
 @cache
 def flown(case: Case, seed: int, duration_s: float = 120.0) -> Cycles:
     """The cycles of a run, as the sensors of the case report them."""
-    scenario = load_scenario(ROOT / "examples" / case.example / "scenario.toml")
-    plants = plant(case.example, case.effects)
-    run = trajectory_of(noisy(case.example, case.noise), plants, scenario, seeds=[seed], duration_s=duration_s,
-                   rtol=1e-6, atol=1e-8).cycles()  # fmt: skip
-    return reported(case, seed, run)
+    return sensed(case, seed, moved(case.example, case.effects, duration_s, 1e-6))
 
 
 def selected(cycles: Cycles, chosen: slice | NDArray[np.bool_]) -> Cycles:

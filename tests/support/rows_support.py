@@ -49,13 +49,13 @@ def run(name: str) -> tuple[Arm, Cycles, Floats, tuple[Effect, ...]]:
         arm = load_arm(SPATIAL / "arm.toml").at_period(0.005)
         model, scenario = load_model(SPATIAL / "model.toml"), load_scenario(SPATIAL / "scenario.toml")
         arm = replace(arm, smoother=Smoother(7, 4, 3))
-        moved = trajectory_of(arm, model, scenario, noise=False, duration_s=2.5, rtol=1e-10, atol=1e-12)
+        moved = trajectory_of(arm, model, scenario, noise=False, duration_s=2.5, rtol=1e-9, atol=1e-11)
         return arm, moved.cycles(), model.base_values(arm), ()
     arm, model, scenario = lively()
     effects = LIVELY_EFFECTS if name == "lively" else ()
     plant = replace(model, effects=effects)
     moved = trajectory_of(
-        arm, plant, scenario, noise=False, period_s=0.02 if effects else 0.01, duration_s=12.0, rtol=1e-11, atol=1e-13
+        arm, plant, scenario, noise=False, period_s=0.02 if effects else 0.01, duration_s=8.0, rtol=1e-9, atol=1e-11
     )
     values = np.concatenate([model.base_values(arm), [one.value for one in effects]])
     return moved.arm, moved.cycles(), values, effects

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import re
 import struct
 import zlib
-from pathlib import Path
+from typing import Any
 
 import crc32c
 
 HEAD = struct.Struct("<8sHBBIII")
 MAGIC = b"\x89zygos\r\n"
+STRUCTS = tuple(f"zygos_{name}_t".replace("__", "_") for name in ("", "config", "work", "estimate", "cycle", "frame"))
+"""What library and caller exchange: the structs of which ZYGOS_ABI knows the sizes."""
 
 
 def sealed(kind: int, image: bytes, layout: int, *, form: int = 1, order: int = 1, magic: bytes = MAGIC) -> bytes:
@@ -19,16 +20,16 @@ def sealed(kind: int, image: bytes, layout: int, *, form: int = 1, order: int = 
     return bare + struct.pack("<I", crc32c.crc32c(bare + image)) + image
 
 
-def struct_texts(headers: list[Path]) -> str:
-    """The text of all structs of headers in the order of their names: no comments, single spaces."""
-    structs = {}
-    for header in headers:
-        text = re.sub(r"/\*.*?\*/|//[^\n]*", " ", header.read_text(), flags=re.S)
-        for body, name in re.findall(r"^typedef struct (\{.*?^\}) (\w+);", text, re.S | re.M):
-            structs[name] = " ".join(body.split())
-    return "\n".join(f"{name} {body}" for name, body in sorted(structs.items()))
+def layout_of(binding: Any, kind: Any) -> str:
+    """Offsets and types of all that a type of cffi consists of, without a name."""
+    if kind.kind == "struct":
+        inside = (f"{field.offset}:{layout_of(binding, field.type)}" for _, field in kind.fields)
+        return f"{{{','.join(inside)}}}{binding.sizeof(kind)}"
+    if kind.kind == "array":
+        return f"{layout_of(binding, kind.item)}[{kind.length}]"
+    return str(kind.cname) if kind.kind == "primitive" else str(kind.kind)
 
 
-def layout_digest(headers: list[Path]) -> int:
+def layout_digest(binding: Any, structs: tuple[str, ...] = STRUCTS) -> int:
     """What ZYGOS_LAYOUT must be."""
-    return zlib.crc32(struct_texts(headers).encode())
+    return zlib.crc32("\n".join(layout_of(binding, binding.typeof(name)) for name in structs).encode())

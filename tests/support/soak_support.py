@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from runs_support import trajectory_of
@@ -20,6 +19,11 @@ DURATION_S = 60.0
 def with_all_rows(arm: Arm) -> Arm:
     """The arm with energy, motor and momentum rows."""
     return replace(arm, momentum_max_s=10.0)
+
+
+def with_short_arcs(arm: Arm) -> Arm:
+    """The same in arcs of a few hundred cycles or fewer, which fade in ten minutes."""
+    return replace(arm, arc_max_s=20.0, impulse_arc_s=5.0, momentum_max_s=10.0, memory_s=600.0)
 
 
 def stored(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
@@ -66,22 +70,3 @@ def settle(flight: Flight) -> None:
     lib.zygos_guard_settle_energy(guard, config, energy)
     lib.zygos_guard_settle_motors(guard, config, columns, motors)
     lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
-
-
-def resealed(sums: Any) -> int:
-    """The checksum over what tells which blocks there are, once more and in Python."""
-    energy = hasattr(sums, "enough")
-    lengths = [sums.enough, sums.target] if energy else [sums.target]
-    lengths += [sums.noise_fade] if not energy and hasattr(sums, "noise_fade") else []
-    words = np.array(lengths).view(np.uint64).tolist()
-    if energy:
-        names = ("width", "count", "open", "fresh", "newest", "window", "ready", "arcs")
-        words += [getattr(sums, name) for name in names]
-        words += np.array([sums.noise_fade]).view(np.uint64).tolist()
-        words += np.frombuffer(ffi.buffer(sums.order), dtype=np.uint64).tolist()
-    else:
-        words.append(sums.count)
-    checksum = 0
-    for word in words:
-        checksum = (checksum ^ int(word)) * 0x100000001B3 % 2**64
-    return checksum

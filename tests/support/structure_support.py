@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -41,8 +43,15 @@ def frames_of(name: str) -> Frames:
     return found
 
 
-def arm_of(
-    joints: Frames,
+def arm_of(joints: Frames, **settings: Any) -> Arm:
+    """An arm of these joints, on the ground unless `base` says otherwise. Equal ones are the same object, so that its
+    structure is computed once."""
+    return _arm_of(json.dumps(joints), **settings)
+
+
+@cache
+def _arm_of(
+    joints: str,
     *,
     ratio: float = 100.0,
     lengths: bool = True,
@@ -52,7 +61,6 @@ def arm_of(
     torque_at: TorqueAt = "rotor",
     gravity: tuple[float, float, float] = DOWN,
 ) -> Arm:
-    """An arm of these joints, on the ground unless `base` says otherwise."""
     encoder = Encoder(1e-6)
     hardware = tuple(
         Joint(
@@ -66,7 +74,7 @@ def arm_of(
             flexible=flexible,
             position_m=tuple(one["xyz"]) if lengths else None,
         )
-        for i, one in enumerate(joints, start=1)
+        for i, one in enumerate(json.loads(joints), start=1)
     )
     free = base == "free"
     imu = Imu(16, (0.0, 0.0, 0.0, 1.0), 1e-6, 1e-9) if free else NO_IMU
@@ -107,7 +115,7 @@ def bodies_of(arm: Arm, joints: Frames, seed: int = 0, *, massive_rotors: bool =
     return Model("clouds", tuple(bodies), tuple(drives))
 
 
-def torque_columns(arm: Arm, joints: Frames, *, rotors: bool, count: int = 120, seed: int = 1) -> tuple[Floats, Floats]:
+def torque_columns(arm: Arm, joints: Frames, *, rotors: bool, count: int = 40, seed: int = 1) -> tuple[Floats, Floats]:
     """Joint torques at random states by Pinocchio, (count, N, 10 N [+ N]), and the joints' rates (count, N).
 
     The columns are those of the ten parameters of each link in `PIN_ORDER`, and with `rotors` those of the inertias of

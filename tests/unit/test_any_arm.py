@@ -29,10 +29,10 @@ from zygos.simulation.scenario import load_scenario
 Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-KINDS = list(product((1, 2, 3, 7), ("free", "fixed"), ("spatial", "planar", "planar-symmetric"), FLEXIBLE))
+KINDS = list(product((1, 2, 7), ("free", "fixed"), ("spatial", "planar", "planar-symmetric"), FLEXIBLE))
 
 
-@pytest.mark.slow(but=["2-*"])
+@pytest.mark.slow(but=["2-*-mixed", "2-free-spatial-*", "2-fixed-planar-rigid"])
 @pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), KINDS)
 def test_every_room_is_numpys(joints: int, base: str, kinetic: str, kind: str) -> None:
     """From the frames on, with cantools and autosar-e2e on the other side."""
@@ -40,7 +40,7 @@ def test_every_room_is_numpys(joints: int, base: str, kinetic: str, kind: str) -
     arm, _ = random_arm(joints, joints, base, kinetic, flexible)  # type: ignore[arg-type]
     coarse = Encoder(quantum_rad=1e-4)  # coarser than the wire, so that the bandwidth test accepts what the wire rounds
     arm = replace(arm, joints=tuple(replace(j, link_encoder=coarse, motor_encoder=coarse) for j in arm.joints))
-    cycles = sines(arm, 700)
+    cycles = sines(arm, 400)
     frames = encode(arm, cycles)
     rooms = check_frames(arm, frames)
     assert [room.name for room in rooms if not room.equal] == []
@@ -54,7 +54,7 @@ def test_every_room_is_numpys(joints: int, base: str, kinetic: str, kind: str) -
     noise = flight.noise()
     rows = trace.row[trace.instant & trace.accepted]
     rows = rows - rows.mean(axis=0)
-    assert len(rows) > 600
+    assert len(rows) > 350
     size = np.linalg.norm(rows, axis=0) + 1e-300
     np.testing.assert_allclose(
         np.column_stack([a + noise[:-1, :-1], b + noise[-1, :-1]]) / np.outer(size[:-1], size),
@@ -73,10 +73,11 @@ def test_a_rotor_that_turns_with_its_link_has_no_room_of_its_own(base: str, kine
     arm = replace(arm, joints=tuple(joints), imu=replace(arm.imu, rate_sigma=5e-3 * arm.free))
     assert "Im2" not in arm.parameter_names
     flight = Flight(arm)
-    rooms = check_frames(arm, encode(arm, sines(arm, 700)), flight)
+    frames = encode(arm, sines(arm, 400))
+    rooms = check_frames(arm, frames, flight)
     assert [room.name for room in rooms if not room.equal] == []
     assert "balance" in {room.name for room in rooms}
-    trace = Flight(arm).frames(encode(arm, sines(arm, 700)), trace=True)
+    trace = Flight(arm).frames(frames, trace=True)
     assert trace is not None
     samples = calibrate(arm, trace.cycles)
     expected = tables(arm, samples, smooth(arm, samples), ()).used.noise
@@ -102,7 +103,7 @@ def test_a_rigid_joint_needs_no_link_encoder() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("example", "learn_s", "known"), [("spatial", 30.0, 54), ("seven", 30.0, 110)], ids=["three joints", "seven joints"]
+    ("example", "learn_s", "known"), [("spatial", 22.0, 54), ("seven", 28.0, 110)], ids=["three joints", "seven joints"]
 )
 def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: int) -> None:
     """Moved by Pinocchio's equations at 500 Hz, without noise, through `zygos_cycle`.
@@ -117,7 +118,7 @@ def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: 
     scenario = load_scenario(folder / "scenario.toml")
     arm = replace(arm, compensate_every=0)  # there is no noise
     run = trajectory_of(
-        arm, model, scenario, engine="pinocchio", noise=False, duration_s=learn_s + 2.0, rtol=1e-10, atol=1e-12
+        arm, model, scenario, engine="pinocchio", noise=False, duration_s=learn_s + 2.0, rtol=1e-8, atol=1e-10
     )
     learned, cycles = round(learn_s / arm.period_s), run.cycles()
     flight = Flight(arm)

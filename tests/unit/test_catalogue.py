@@ -10,6 +10,7 @@ simulator, at the instants of SYNC without any error. Simulator and column share
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,7 +47,7 @@ HALF_A_STEP = 5e-2
 """The same of a lag, whose column expects a smoothed rate: half of the torque step at an instant shows in it, and
 nothing of it in an exact rate (with smoothed readings, `test_gap_balances`)."""
 A_KINK = 2e-2
-"""The same of a law that jumps where it is largest: within a step of 1 ms, the quadrature does not know when."""
+"""The same of a law that jumps where it is largest: within a step, the quadrature does not know when."""
 SLIGHT = 0.1
 """A balance that sees less of an effect, in units of its own largest term, than this share of what the best sees, has
 to stay closed to `RIGHT` of that."""
@@ -62,7 +63,26 @@ def places(name: str) -> list[EffectColumn]:
     return out
 
 
-CASES = [(name, column.key, column) for name in ARMS for column in places(name)]
+def form(kind: Kind) -> tuple[object, ...]:
+    """What decides how an entry's column is made, beside its law; each error of a sensor is a form of its own."""
+    own = kind.key if kind.place == "sensor" else ""
+    return kind.place, kind.law is None, kind.memory is None, kind.lags, kind.potential is None, own
+
+
+def cases() -> Iterator[tuple[str, str, EffectColumn]]:
+    """Every entry on the first arm that can have it, and one entry of each form of a torque on every arm."""
+    known: set[str] = set()
+    for name in ARMS:
+        keys = list(dict.fromkeys(column.key for column in places(name)))
+        first = {form(CATALOGUE[key]): key for key in reversed(keys)}
+        for column in places(name):
+            kind = CATALOGUE[column.key]
+            if column.key not in known or (kind.place != "sensor" and first[form(kind)] == column.key):
+                yield name, column.key, column
+        known.update(keys)
+
+
+CASES = list(cases())
 SHAPE = {
     "motor_stribeck": 1.0, "link_stribeck": 1.0, "backlash": 1e-4, "ripple_sin": 0.05, "ripple_cos": 0.05,
     "base_leak": 0.701, "detent_sin": 3.0, "detent_cos": 3.0, "body_change": 0.701,
@@ -95,7 +115,7 @@ def sized(name: str, column: EffectColumn) -> float:
     return value
 
 
-QUICK = ("backlash", "ripple_sin", "gyro_bias", "link_late", "torque_gain")
+QUICK = ("backlash", "ripple_sin", "gyro_bias", "link_late")
 
 
 def quick(case: tuple[str, str, EffectColumn]) -> bool:
@@ -177,8 +197,7 @@ def test_a_law_of_ones_own_is_an_entry_within_its_block(own: Path) -> None:
         column = EffectColumn("cogging", 0)
         SHAPE["cogging"] = 12.0
         try:
-            for name in ARMS:
-                test_column_is_what_the_effect_does(name, "cogging", column)
+            test_column_is_what_the_effect_does(ARMS[0], "cogging", column)
         finally:
             del SHAPE["cogging"]
         with pytest.raises(ZygosError, match="two effects 'cogging'"), laws(own):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from runs_support import trajectory_of
+from flight_support import bytes_of, copy_of, part
+from soak_support import again, stored, with_short_arcs
+from state_support import config_of_its_own, lose_the_way, one_of_each, sums
 
 from conftest import EXAMPLE
-from zygos.arm import Arm, load_arm
+from zygos.arm import load_arm
 from zygos.errors import ZygosError
 from zygos.model.model import load_model
 from zygos.native import snapshot
@@ -25,41 +26,31 @@ WORK = ffi.new("zygos_work_t *")
 
 
 @cache
-def run() -> tuple[Arm, Cycles]:
-    """Rows of every kind, in arcs of which several are closed and one is open."""
-    arm = replace(load_arm(EXAMPLE / "arm.toml"), arc_max_s=20.0, momentum_max_s=10.0)
-    scenario = replace(load_scenario(EXAMPLE / "scenario.toml"), duration_s=40.0)
-    return arm, trajectory_of(arm, load_model(EXAMPLE / "model.toml"), scenario, seeds=[0], noise=True).cycles(0)
+def cycles() -> Cycles:
+    arm, model = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
+    motion = stored(arm, model, load_scenario(EXAMPLE / "scenario.toml"))
+    return part(again(arm, motion, 1, np.random.default_rng(0)), 0, 805)
 
 
 @cache
-def learned() -> bytes:
-    arm, cycles = run()
-    flight = Flight(arm)
-    flight.cycles(cycles)
-    assert flight.native.accumulator.filled > 0  # a step waits to be shared out
-    return bytes(ffi.buffer(flight.native))
+def learned() -> Flight:
+    """Rows of every kind, in arcs of which several are closed and one is open."""
+    flight = Flight(replace(with_short_arcs(load_arm(EXAMPLE / "arm.toml")), memory_s=None))
+    flight.cycles(cycles())
+    return flight
 
 
 @pytest.fixture
 def flight() -> Flight:
-    out = Flight(run()[0])
-    ffi.memmove(out.native, learned(), len(learned()))
-    return out
+    return copy_of(learned())
 
 
 def check(flight: Flight) -> int:
     """The verdict, which leaves the memory as it is."""
-    before = bytes(ffi.buffer(flight.native))
-    verdict = int(lib.zygos_check(flight.native, config(), WORK))
-    assert bytes(ffi.buffer(flight.native)) == before
+    before = bytes_of(flight.native)
+    verdict = int(lib.zygos_check(flight.native, config_of_its_own(learned()), WORK))
+    assert ffi.buffer(flight.native)[:] == before
     return verdict
-
-
-@cache
-def config() -> Any:
-    flight = Flight(run()[0])  # it owns the memory that is copied
-    return ffi.new("zygos_config_t *", flight.native.config)
 
 
 def test_what_nobody_changed_passes(flight: Flight) -> None:
@@ -81,103 +72,71 @@ def test_misuse_is_refused(flight: Flight) -> None:
     assert lib.zygos_check(flight.native, own, WORK) == lib.ZYGOS_E_STATE
 
 
-def changed(path: str, change: Callable[[Any], Any]) -> Callable[[Any], None]:
-    """Gives one member of zygos_t another value."""
-    *parents, last = path.split(".")
-
-    def apply(native: Any) -> None:
-        for name in parents:
-            key = name.partition("[")
-            native = getattr(native, key[0])
-            native = native[int(key[2][:-1])] if key[2] else native
-        key = last.partition("[")
-        if key[2]:
-            array = getattr(native, key[0])
-            array[int(key[2][:-1])] = change(array[int(key[2][:-1])])
-        else:
-            setattr(native, last, change(getattr(native, last)))
-
-    return apply
+def a_sum(flight: Flight) -> None:
+    """Change what zygos_check() finds in the sums."""
+    for place in sums(flight.native, np.random.default_rng(0)):
+        place.flip(flight.native, 52)
+        if check(flight) == lib.ZYGOS_E_SUMS:
+            return
+        place.flip(flight.native, 52)
+    raise AssertionError("no sum is under a check")
 
 
-def _fills(native: Any) -> None:
-    native.accumulator.buffer[native.accumulator.filling].gram[0] += 1.0
+def magic(flight: Flight) -> None:
+    flight.native.magic ^= 4
 
 
-def _open_momentum_rows(native: Any) -> None:
-    native.momentum_sums.arc.rows.gram[0] *= 2.0
+def gear_ratio(flight: Flight) -> None:
+    flight.native.config.joint[1].gear_ratio *= 2.0
 
 
-CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {
-    "magic": (changed("magic", lambda x: x ^ 4), lib.ZYGOS_E_ORDER),
-    "gear ratio": (changed("config.joint[1].gear_ratio", lambda x: 2 * x), lib.ZYGOS_E_CONFIG),
-    "joints": (changed("config.joints", lambda x: x ^ 1 << 20), lib.ZYGOS_E_CONFIG),
-    "place in the queue": (changed("receiver.queue.head", lambda x: x ^ 1 << 20), lib.ZYGOS_E_STATE),
-    "blocks": (changed("accumulator.count", lambda x: x ^ 1 << 10), lib.ZYGOS_E_STATE),
-    "columns of motor rows": (changed("motor_sums.column_map.count[0]", lambda x: x + 1), lib.ZYGOS_E_STATE),
-    "columns of momentum rows": (changed("momentum_sums.columns", lambda x: x + 1), lib.ZYGOS_E_STATE),
-    "closed block": (changed("accumulator.block[0].gram[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
-    "buffer that fills": (_fills, lib.ZYGOS_E_SUMS),
-    "noise": (changed("accumulator.noise_closed.gram[0]", lambda x: x + 1.0), lib.ZYGOS_E_SUMS),
-    "instants of the arc": (changed("accumulator.arc_instants", lambda x: x ^ 8), lib.ZYGOS_E_SUMS),
-    "motor rows": (changed("motor_sums.block[0].joint[1].sum[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
-    "momentum rows": (_open_momentum_rows, lib.ZYGOS_E_SUMS),
+CHANGES: dict[Any, int] = {
+    magic: lib.ZYGOS_E_ORDER,
+    gear_ratio: lib.ZYGOS_E_CONFIG,
+    lose_the_way: lib.ZYGOS_E_STATE,
+    a_sum: lib.ZYGOS_E_SUMS,
 }
 
 
-@pytest.mark.parametrize("what", CHANGES)
-def test_a_change_is_found(what: str, flight: Flight) -> None:
-    change, verdict = CHANGES[what]
-    change(flight.native)
-    assert check(flight) == verdict
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_change_is_found(change: Any, flight: Flight) -> None:
+    change(flight)
+    assert check(flight) == CHANGES[change]
 
 
-def test_it_finds_what_the_solver_finds(flight: Flight) -> None:
-    """At any bit of the sums, and at no other."""
+def test_a_restart_heals_sums_and_tables(flight: Flight) -> None:
+    """Whatever was changed but the configuration: behind it the rest of the run gives the bits of an arm that restarted
+    without an upset."""
+    healthy, rest = copy_of(learned()), part(cycles(), 0, 400)
+    assert lib.zygos_restart(healthy.native, lib.ZYGOS_KEEP_FAULTS) == 1
+    healthy.cycles(rest)
+    expected = healthy.estimate()
     rng = np.random.default_rng(0)
-    entries = (len(flight.names) + 2) * (len(flight.names) + 3) // 2
-    first = ffi.offsetof("zygos_t", "accumulator", "block", 0, "gram")
-    found = 0
-    for place in first + rng.integers(0, 8 * entries, 100):
-        ffi.memmove(flight.native, learned(), len(learned()))
-        memory = ffi.cast("uint8_t *", flight.native)
-        memory[int(place)] ^= 1 << int(rng.integers(8))
-        corrupt = flight.estimate().reason.startswith("the accumulated sums are corrupt")
-        assert (check(flight) < 1) == corrupt
-        found += corrupt
-    assert found > 0
-
-
-@pytest.mark.parametrize(
-    "what", [name for name, (_, code) in CHANGES.items() if code == lib.ZYGOS_E_SUMS or "rows" in name]
-)
-def test_a_restart_heals_sums_and_tables(what: str, flight: Flight) -> None:
-    """Behind it the rest of the run gives the bits of an arm that restarted without an upset."""
-    arm, cycles = run()
-    healthy = Flight(arm)
-    ffi.memmove(healthy.native, learned(), len(learned()))
-    CHANGES[what][0](flight.native)
-    for one in (healthy, flight):
-        assert lib.zygos_restart(one.native, lib.ZYGOS_KEEP_FAULTS) == 1
-        one.cycles(cycles)
+    places = [*sums(flight.native, rng), *one_of_each(flight.native, rng, without=("config", "magic"))[::8]]
+    for place, other in zip(places, rng.permutation(np.array(places, dtype=object)), strict=True):
+        ffi.memmove(flight.native, learned().native, ffi.sizeof("zygos_t"))
+        for one in (place, other):
+            one.flip(flight.native, one.bits(rng, 2)[1])
+        assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
+        flight.cycles(rest)
+        np.testing.assert_array_equal(flight.estimate().value, expected.value)
     assert check(flight) == 1
-    np.testing.assert_array_equal(flight.estimate().value, healthy.estimate().value)
-    assert np.isfinite(flight.estimate().value).any()
+    assert np.isfinite(expected.value).any()
 
 
 def test_a_restart_refuses_a_configuration_that_cannot_be(flight: Flight) -> None:
     """What follows from it would lie anywhere. zygos_init() with a good one heals that, too."""
     flight.native.config.joints ^= 1 << 20
-    before = bytes(ffi.buffer(flight.native))
+    before = bytes_of(flight.native)
     assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == lib.ZYGOS_E_JOINTS
-    assert bytes(ffi.buffer(flight.native)) == before
-    assert lib.zygos_init(flight.native, config()) == 1
+    assert bytes_of(flight.native) == before
+    assert lib.zygos_init(flight.native, config_of_its_own(learned())) == 1
     assert check(flight) == 1
 
 
 def test_a_state_that_was_sealed_corrupt_is_refused(flight: Flight, tmp_path: Path) -> None:
     path = tmp_path / "state.zyg"
-    CHANGES["closed block"][0](flight.native)
+    a_sum(flight)
     snapshot.write(path, "state", flight.native)
     other = Flight(flight.arm)
     with pytest.raises(ZygosError, match="before it was sealed; remedy: take an older one"):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from flight_support import part
 from numpy.typing import NDArray
-from soak_support import again, fly, instants, resealed, stored, with_all_rows
+from soak_support import again, fly, instants, stored, with_all_rows, with_short_arcs
+from state_support import Place, members
 
 from zygos.arm import Arm
 from zygos.model.model import Model
@@ -49,26 +49,39 @@ def same(found: Estimate, expected: Estimate) -> bool:
     )
 
 
-@pytest.mark.parametrize("first", [HALF - 3000, DIGITS - 3000, WORD // 2 - 3000])
-def test_the_number_of_a_cycle_may_be_any(arm: Arm, motion: Cycles, first: int) -> None:
-    """Five minutes across the place where 32 bits, the digits of a double or the sign end: no bit of the estimate."""
-    found = []
-    for begin in (1, first):
-        flight, rng = Flight(with_all_rows(arm)), np.random.default_rng(0)
-        for number in range(5):
-            part_of = again(arm, motion, 1, rng)
-            sync = np.uint64(begin + number * len(motion)) + np.arange(len(motion), dtype=np.uint64)
-            flight.cycles(replace(part_of, sync=sync))
-        # and an outage that is found late: the newest arcs are void, those before are kept
-        late = part(again(arm, motion, 1, rng), 0, 400)
-        late.flags[0] = VOID_BEFORE | 100 << VOID_SHIFT
-        flight.cycles(replace(late, sync=np.uint64(begin + 5 * len(motion)) + np.arange(400, dtype=np.uint64)))
-        estimate = flight.estimate()
-        assert estimate.validity == "valid"
-        assert estimate.cycle == begin + 5 * len(motion) + 399
-        found.append((estimate, instants(flight)))
-    assert same(found[0][0], found[1][0])
-    assert found[0][1] == found[1][1]
+def flown_from(arm: Arm, motion: Cycles, begin: int) -> tuple[Estimate, dict[str, list[float]]]:
+    """What two minutes from this cycle on give, and an outage that is found late."""
+    flight, rng = Flight(with_short_arcs(arm)), np.random.default_rng(0)
+    for number in range(2):
+        part_of = again(arm, motion, 1, rng)
+        sync = np.uint64(begin + number * len(motion)) + np.arange(len(motion), dtype=np.uint64)
+        flight.cycles(replace(part_of, sync=sync))
+    late = part(again(arm, motion, 1, rng), 0, 400)  # the newest arcs are void, those before are kept
+    late.flags[0] = VOID_BEFORE | 100 << VOID_SHIFT
+    flight.cycles(replace(late, sync=np.uint64(begin + 2 * len(motion)) + np.arange(400, dtype=np.uint64)))
+    estimate = flight.estimate()
+    assert estimate.validity == "valid"
+    assert estimate.cycle == begin + 2 * len(motion) + 399
+    return estimate, instants(flight)
+
+
+def test_the_number_of_a_cycle_may_be_any(arm: Arm, motion: Cycles) -> None:
+    """Across the place where 32 bits, the digits of a double or the sign end: no bit of the estimate."""
+    expected, expected_instants = flown_from(arm, motion, 1)
+    for first in (HALF - 1300, DIGITS - 1300, WORD // 2 - 1300):
+        found, found_instants = flown_from(arm, motion, first)
+        assert same(found, expected)
+        assert found_instants == expected_instants
+
+
+def accepted_so_far(flight: Flight) -> Place:
+    """The counter of accepted instants, which has the value that is told of it."""
+    (found,) = (
+        Place(leaf, 0)
+        for (leaf, *_) in members().values()
+        if leaf.kind == "uint64_t" and Place(leaf, 0).values(flight.native) == flight.counts["accepted"]
+    )
+    return found
 
 
 def aged(flight: Flight, file: Path) -> Flight:
@@ -82,9 +95,7 @@ def aged(flight: Flight, file: Path) -> Flight:
     image.cycle += later
     image.receiver.assembly.sync += later
     image.receiver.assembly.time_sync += later
-    image.accumulator.accepted += DIGITS - 100
-    image.accumulator.refused = HALF - 2
-    image.accumulator.arcs_dropped = HALF - 2
+    accepted_so_far(flight).values(image)[0] += DIGITS - 100
     snapshot.write(file, "state", image)
     other = Flight(flight.arm)
     snapshot.resume(other, file)
@@ -121,21 +132,7 @@ def test_every_counter_goes_on(arm: Arm, noisy: Trajectory, tmp_path: Path) -> N
     assert same(old.estimate(), young.estimate())
 
 
-@pytest.mark.parametrize("kind", ["accumulator", "motor_sums", "momentum_sums"])
-def test_a_target_that_has_grown_for_years_is_no_reason_to_refuse(arm: Arm, motion: Cycles, kind: str) -> None:
-    """A length to merge up to just below the largest that is a count: all blocks merge, and it grows no further."""
-    flight, rng = Flight(with_all_rows(arm)), np.random.default_rng(0)
-    fly(flight, motion, 1, rng)
-    restarted: Any = getattr(flight.native, kind)
-    while restarted.target < DIGITS // 4:
-        restarted.target *= 2.0
-    restarted.checksum = resealed(restarted)
-    fly(flight, motion, 12, rng)
-    estimate = flight.estimate()
-    assert estimate.reason != "the accumulated sums are corrupt: memory was changed from outside"
-    assert restarted.target < DIGITS
-
-
+@pytest.mark.slow(but=["0.9", "0.9999"])
 @pytest.mark.parametrize("keep", [0.9, 0.99, 0.9999])
 def test_what_was_forgotten_long_ago_is_nothing_and_not_corrupt(arm: Arm, motion: Cycles, keep: float) -> None:
     """Hours of arcs that are too short to count: all that was known fades, below what doubles can hold."""
@@ -144,7 +141,7 @@ def test_what_was_forgotten_long_ago_is_nothing_and_not_corrupt(arm: Arm, motion
     fly(flight, motion, 2, rng)
     short = part(again(flight.arm, motion, 1, rng), 0, 25)
     seen = set()
-    for number in range(3000):
+    for number in range(2500):
         flight.cycles(replace(short, sync=short.sync + np.uint64(int(flight.native.cycle) + 2)))
         if number % 100 == 0:
             seen.add(flight.estimate().reason)
@@ -159,11 +156,11 @@ def test_what_was_forgotten_long_ago_is_nothing_and_not_corrupt(arm: Arm, motion
 
 
 def test_forgetting_goes_on_for_as_long_as_the_arm_flies(arm: Arm, motion: Cycles) -> None:
-    """A memory of ten minutes, ten hours on: as sharp as after one, and the older half of the blocks is not empty."""
+    """A memory of ten minutes, five hours on: as sharp as after one, and the older half of the blocks is not empty."""
     flight, rng = Flight(replace(with_all_rows(arm), memory_s=600.0)), np.random.default_rng(0)
     sigmas = []
     for _ in range(10):
-        fly(flight, motion, 60, rng)
+        fly(flight, motion, 30, rng)
         estimate = flight.estimate()
         assert (estimate.validity, estimate.reason) == ("valid", "")
         for part_of in instants(flight).values():

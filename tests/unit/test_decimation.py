@@ -48,16 +48,16 @@ def test_what_would_appear_as_slow_motion_is_reduced(cycles_per_period: float) -
     assert np.max(np.abs(averaged(track, at, PERIOD).value)) < 0.04
 
 
-@pytest.mark.parametrize("ratio", [3.0, 5.0, 20.0])
+@pytest.mark.parametrize("ratio", [3.0, 20.0])
 def test_the_declared_noise_is_that_of_smoothed_rates(arm: Arm, ratio: float) -> None:
     """White noise keeps its density: the rate that a smoother finds is as uncertain as the arm file of the run says."""
     sigma = 1e-3
     weights = coefficients(25, 4, 0.0, 1)
     seen = []
-    for seed in range(20):
-        t = stamps(ratio, 60.0, seed)
+    for seed in range(12):
+        t = stamps(ratio, 40.0, seed)
         x = sigma * np.random.default_rng(100 + seed).standard_normal(len(t))
-        got = averaged(Track(CHANNEL, t, x), np.arange(1.0, 59.0, PERIOD), PERIOD).value
+        got = averaged(Track(CHANNEL, t, x), np.arange(1.0, 39.0, PERIOD), PERIOD).value
         seen.append(float(np.std(convolve(got[:, None], weights))))
     fine = sigma * math.sqrt(12.0)
     fine_arm = replace(

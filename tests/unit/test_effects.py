@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cases_support import CASES, arm_of, record_of
-from flight_support import CHOSEN, balanced, bytes_of, chosen, sines, waits
+from flight_support import CHOSEN, balanced, bytes_of, chosen, energy_only, sines
 from numpy.typing import NDArray
 from plant_support import LIVELY, lively, random_arm
 from reference_support import make_arm
@@ -31,7 +31,7 @@ from zygos.errors import ZygosError
 from zygos.model.model import load_model, save_model
 from zygos.native import flight
 from zygos.native.flight import REASONS, Flight, config_of, encode, ffi, lib
-from zygos.reference.compare import Room, check_chain, rounding, tables
+from zygos.reference.compare import Room, check_chain
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import Trajectory
 
@@ -246,19 +246,6 @@ def test_the_binding_names_what_is_refused() -> None:
 # ---------------------------------------------------------------- columns against the simulator
 
 
-def balance_left_over(period: float, one: Effect, value: float) -> tuple[Floats, Floats]:
-    """row . true parameters - W, without the effect, and the effect's column, both less their means (one arc)."""
-    arm, model, scenario = lively()
-    plant = replace(model, effects=(replace(one, value=value),))
-    trajectory = trajectory_of(arm, plant, scenario, noise=False, period_s=period, duration_s=12.0)
-    trace = Flight(silent(trajectory.arm), [one]).cycles(trajectory.cycles(), trace=True)
-    assert trace is not None
-    rows = trace.row[trace.instant]
-    p = len(arm.parameter_names)
-    rest = rows[:, :p] @ model.base_values(arm) - rows[:, -1]
-    return rest - rest.mean(), rows[:, p] - rows[:, p].mean()
-
-
 # A size that moves the arm little, and still does work far above what the balance of 10 ms cycles leaves over.
 SIZES = {
     "motor_coulomb": (0.2, 5e-5),
@@ -270,18 +257,40 @@ SIZES = {
     "torque_offset": (0.1, 5e-5),
     "viscous_asymmetry": (2.0, 5e-5),
 }
+QUICK = "motor_coulomb"
 
 
-@pytest.mark.slow(but=["motor_coulomb-elbow"])
-@pytest.mark.parametrize("joint", ["shoulder", "elbow"])
-@pytest.mark.parametrize("key", SIZES)
+def moved(*effects: Effect) -> tuple[Arm, Cycles]:
+    """The motion of examples/lively with these effects, read without noise every 10 ms."""
+    arm, model, scenario = lively()
+    plant = replace(model, effects=effects)
+    run = trajectory_of(arm, plant, scenario, noise=False, period_s=0.01, duration_s=8.0, rtol=1e-9, atol=1e-11)
+    return silent(run.arm), run.cycles()
+
+
+def balance_left_over(one: Effect, *acting: Effect) -> tuple[Floats, Floats]:
+    """row . true parameters - W of a motion, without the effect, and the effect's column, both less their means (one
+    arc)."""
+    arm, cycles = moved(*acting)
+    trace = Flight(arm, [one]).cycles(cycles, trace=True)
+    assert trace is not None
+    rows = trace.row[trace.instant]
+    p = len(arm.parameter_names)
+    rest = rows[:, :p] @ lively()[1].base_values(arm) - rows[:, -1]
+    return rest - rest.mean(), rows[:, p] - rows[:, p].mean()
+
+
+@pytest.mark.slow(but=[f"{QUICK}-elbow"])
+@pytest.mark.parametrize(
+    ("key", "joint"), [*((key, "elbow") for key in SIZES), ("motor_coulomb", "shoulder"), ("torque_lag", "shoulder")]
+)
 def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> None:
     """Its derivative by the coefficient, from two simulations."""
     assert set(SIZES) == set(COLUMNS)
     size, tolerance = SIZES[key]
     one = effect(key, joint)
-    with_it, column = balance_left_over(0.01, one, size)
-    without, _ = balance_left_over(0.01, one, 0.0)
+    with_it, column = balance_left_over(one, replace(one, value=size))
+    without, _ = balance_left_over(one)
     difference = (with_it - without) / size + column
     error = np.sqrt(np.mean(difference**2) / np.mean(column**2))
     print(f"{key} {joint}: {error:.1e}")
@@ -292,32 +301,25 @@ def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> 
 
 
 def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
-    """Rows within rounding, 1e-12 of each column's largest entry or what the readings' own rounding does, and every
-    room of `zygos check`."""
+    """Every room of `zygos check`, with rows within 1e-12 of each column's largest entry or what the readings' own
+    rounding does."""
     run = Flight(arm, effects)
     trace = run.cycles(cycles, trace=True)
     assert trace is not None
-    waited = waits(cycles, trace)
-    chain = reference.chain(arm, cycles, effects, waited)
-    numpy = np.column_stack([chain.balance.z, chain.balance.w])
-    c = trace.row[trace.instant]
-    assert c.shape == numpy.shape
-    assert numpy.shape[1] == len(run.names) + 1 == len(arm.parameter_names) + len(effects) + 1
-    scale = np.abs(numpy).max(axis=0)
-    assert (scale > 0.0).all()
-    samples = replace(reference.calibrate(arm, cycles), waited=waited)
-    known = tables(arm, samples, chain.smoothed, effects)
-    assert (np.abs(c - numpy) / scale <= rounding(arm, samples, known, effects).row).all()
+    rows = trace.row[trace.instant]
+    assert rows.shape[1] == len(run.names) + 1 == len(arm.parameter_names) + len(effects) + 1
+    assert (np.abs(rows).max(axis=0) > 0.0).all()
     rooms = check_chain(arm, trace, run)
     assert [room for room in rooms if not room.equal] == []
+    assert {room.name: room.compared for room in rooms}["balance"] == rows.size
     return rooms
 
 
+@pytest.mark.slow(but=["three joints, all", "two joints, all", "one joint, all"])
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if not case.far])
 def test_c_equals_numpy_with_effects(name: str) -> None:
     """As many as the build holds, other ones at other arms."""
-    arm = arm_of(CASES[name])
-    cycles = record_of(CASES[name], arm)
+    arm, cycles = arm_of(CASES[name]), record_of(CASES[name])
     # these records do not tell an offset and an asymmetry of one joint from its other columns
     keys = [key for key in COLUMNS if arm.n > 1 or key not in ("torque_offset", "viscous_asymmetry")]
     every = [effect(key, joint.name) for joint in arm.joints for key in keys]
@@ -335,7 +337,7 @@ def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(flight, "_FOLDER", tmp_path)
     for name, value in zip(("ffi", "lib"), flight._load(), strict=True):
         monkeypatch.setattr(flight, name, value)
-    trajectory = trajectory_of(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0)
+    trajectory = trajectory_of(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0, rtol=1e-9)
     rooms = same(silent(trajectory.arm), trajectory.cycles(), effects)
     assert (rooms[-1].name, rooms[-1].compared) == ("solution", len(arm.parameter_names) + len(effects))
 
@@ -396,36 +398,29 @@ def test_friction_at_the_elbow_is_found() -> None:
         assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).mean() <= 0.02
 
 
-@pytest.mark.slow(but=["motor_coulomb"])
+@pytest.mark.slow(but=[QUICK])
 @pytest.mark.parametrize("key", COLUMNS)
 def test_every_coefficient_is_found_without_noise(key: str) -> None:
-    """From a run of 10 ms; the lag is 3 ms, whose square the column leaves out."""
-    arm, model, scenario = lively()
-    value = {
-        "motor_coulomb": 0.5, "motor_viscous": 1.0, "link_coulomb": 20.0, "cubic_stiffness": 5e4, "spring_offset": -1.0,
-        "torque_lag": 3e-3, "torque_offset": 0.3, "viscous_asymmetry": 0.5,
-    }[key]  # fmt: skip
-    plant = replace(model, effects=(effect(key, "elbow", value),))
-    trajectory = trajectory_of(arm, plant, scenario, noise=False, period_s=0.01, duration_s=25.0)
-    run = Flight(silent(trajectory.arm), [effect(key, "elbow")])
-    run.cycles(trajectory.cycles())
+    """From the motions with which its column is compared; the lag is 3 ms, whose square the column leaves out."""
+    value = 3e-3 if key == "torque_lag" else SIZES[key][0]
+    arm, cycles = moved(effect(key, "elbow", value))
+    run = Flight(arm, [effect(key, "elbow")])
+    run.cycles(cycles)
     found = run.estimate()
     assert (found.validity, found.reason) == ("valid", "")
     assert found.value[-1] == pytest.approx(value, rel=5e-4)
-    assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).max() <= 1e-4
+    assert np.abs(found.value[:-1] / lively()[1].base_values(arm) - 1.0).max() <= 1e-4
 
 
-@pytest.mark.slow(but=["spring_offset-*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value"), [("motor_viscous", -0.5), ("cubic_stiffness", -20.0), ("spring_offset", -1.0)]
 )
 def test_a_plant_that_creates_energy_is_not_physical(key: str, value: float) -> None:
     """A spring may soften all the same."""
-    arm, model, scenario = lively()
-    plant = replace(model, effects=(effect(key, "elbow", value),))
-    trajectory = trajectory_of(arm, plant, scenario, noise=False, period_s=0.01, duration_s=20.0)
-    run = Flight(silent(trajectory.arm), [effect(key, "elbow")])
-    run.cycles(trajectory.cycles())
+    arm, cycles = moved(effect(key, "elbow", value))
+    run = Flight(arm, [effect(key, "elbow")])
+    run.cycles(cycles)
     found = run.estimate()
     assert found.value[-1] == pytest.approx(value, rel=0.01)
     assert (found.validity, found.reason) == (("doubtful", NOT_PHYSICAL) if CATALOGUE[key].positive else ("valid", ""))
@@ -479,7 +474,8 @@ def test_c_equals_numpy_with_the_offsets_that_an_arm_file_asks_for(tmp_path: Pat
 def modern() -> Trajectory:
     """The motion of examples/lively with sensors of today, 20 bits and 200 Hz."""
     _, model, scenario = lively()
-    return trajectory_of(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
+    return trajectory_of(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=24.0,
+                         rtol=1e-9, atol=1e-11)  # fmt: skip
 
 
 @pytest.mark.slow
@@ -501,7 +497,7 @@ def test_a_motor_encoders_zero_that_is_off_by_a_milliradian(modern: Trajectory, 
     blind, found = answers["off"], answers["off, with columns"]
     assert error["off"] >= 1e-3
     assert np.nanmax(np.abs(blind.value - true) / answers["exact"].sigma) >= 100.0
-    assert blind.cluster >= 20.0  # four times the limit; 28 and more in this draw
+    assert blind.cluster >= 20.0  # four times the limit
     assert {answers["exact"].validity, answers["exact, with columns"].validity, found.validity} == {"valid"}
     assert found.cluster <= 3.0
     assert error["off, with columns"] <= 1.2 * error["exact"] + 1e-5
@@ -513,25 +509,24 @@ def test_a_motor_encoders_zero_that_is_off_by_a_milliradian(modern: Trajectory, 
 
 
 @pytest.mark.parametrize("joint", [0, 1])
-def test_a_link_encoders_zero_turns_the_bodies_behind_it(modern: Trajectory, joint: int) -> None:
+def test_a_link_encoders_zero_turns_the_bodies_behind_it(tmp_path: Path, joint: int) -> None:
     """The offset takes what it does to the spring; what the arm then looks like is no planar-symmetric one, but a
     planar one with b_ij = 1 mrad of the a_ij across the joint."""
-    arm, (_, model, _) = modern.arm, lively()
-    a = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
-    exact = modern.cycles()
-    off = replace(exact, q=exact.q + 1e-3 * np.eye(2)[joint])
-    blind, half = (estimate_of(one, off, ()) for one in (arm, unsure(arm)))
-    found = estimate_of(replace(unsure(arm), kinetic="planar"), off, ())
-    assert blind.cluster >= 20.0  # four times the limit; 28 and more in this draw
-    assert half.cluster >= 10.0
-    assert found.validity == "valid"
-    assert found.cluster <= 3.0
+    arm = energy_only(make_arm(tmp_path))
+    cycles = balanced(arm, sines(arm, 800), chosen(arm))
+    off = replace(cycles, q=cycles.q + 1e-3 * np.eye(2)[joint])
+    flights = [Flight(one) for one in (arm, unsure(arm), replace(unsure(arm), kinetic="planar"))]
+    for one in flights:
+        one.cycles(off)
+    blind, half, found = (one.estimate() for one in flights)
+    assert blind.validity != "valid" and min(blind.cluster, half.cluster) > 10.0
+    assert found.validity == "valid" and found.cluster < 1.0
     value = dict(zip(found.names, found.value.tolist(), strict=True))
-    for name, true in a.items():
-        assert value[name] == pytest.approx(true, rel=1e-4)
+    for name, true in CHOSEN.items():
+        assert value[name] == pytest.approx(true, rel=1e-6)
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        across = i <= joint < j
-        assert value[f"b{i}{j}"] == pytest.approx(1e-3 * a[f"a{i}{j}"] if across else 0.0, abs=2e-5 * a[f"a{i}{j}"])
+        a = CHOSEN[f"a{i}{j}"]
+        assert value[f"b{i}{j}"] == pytest.approx(1e-3 * a if i <= joint < j else 0.0, abs=1e-6 * a)
 
 
 def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 0) -> Any:

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_support import Floats, State, random_arm, random_state
+from motion_support import FLEXIBLE
 from plant_support import lively
 from scipy.spatial.transform import Rotation
 
 from conftest import ROOT, need
 from zygos.arm import Arm, Base, Kinetic
-from zygos.dynamics.engines import ENGINES, Engine, engine
+from zygos.dynamics.engines import ENGINES, engine
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
 from zygos.model.model import Body, Model, Quantity, load_model, save_model
@@ -26,15 +27,14 @@ for library in ENGINES:
     except ImportError as reason:
         need(None, f"{reason} (pip install 'zygos[engines]')")
 
-SPRINGS = {"flexible": lambda i: True, "rigid": lambda i: False, "mixed": lambda i: i % 2 == 1}
-ARMS = pytest.mark.parametrize("springs", list(SPRINGS))
+ARMS = pytest.mark.parametrize("springs", list(FLEXIBLE))
 BASES = pytest.mark.parametrize("base", ["free", "fixed"])
-JOINTS = pytest.mark.parametrize("joints", [1, 2, 3, 7])
+JOINTS = pytest.mark.parametrize("joints", [1, 3, 7])
 NAMES = pytest.mark.parametrize("name", list(ENGINES))
 
 
 def made(seed: int, joints: int, base: Base, springs: str, kinetic: Kinetic = "spatial") -> tuple[Arm, Model]:
-    return random_arm(seed, joints, base, kinetic, [SPRINGS[springs](i) for i in range(joints)])
+    return random_arm(seed, joints, base, kinetic, [FLEXIBLE[springs](i) for i in range(joints)])
 
 
 def alike(got: Floats, wanted: Floats, tolerance: float) -> None:
@@ -42,36 +42,37 @@ def alike(got: Floats, wanted: Floats, tolerance: float) -> None:
     np.testing.assert_allclose(got, wanted, rtol=0, atol=tolerance * np.max(np.abs(wanted)))
 
 
-def equal_engines(arm: Arm, model: Model, state: State, tolerance: float = 1e-10) -> None:
+def equal_engines(arm: Arm, model: Model, *states: State, tolerance: float = 1e-10) -> None:
     """They agree to 1e-12 in accelerations and to 1e-14 in energies and momenta."""
     one, other = engine("pinocchio", arm, model), engine("mujoco", arm, model)
-    for got, wanted in zip(other.accelerations(*state), one.accelerations(*state), strict=True):
-        alike(got, wanted, tolerance)
-    q, _, *rates = state[:5]
-    assert other.kinetic_energy(q, *rates) == pytest.approx(one.kinetic_energy(q, *rates), rel=tolerance)
-    if arm.free:
-        assert abs(one.potential_energy(q)) + abs(other.potential_energy(q)) < 1e-20
-        h = one.momentum(q, *rates)
-        assert np.linalg.norm(h) > 1.0
-        alike(other.momentum(q, *rates), h, tolerance)
-    else:
-        zero = np.zeros(arm.n)
-        lift = one.potential_energy(q) - one.potential_energy(zero)
-        # the difference of two energies, each with an error of its own
-        weight = sum(body.mass.value for body in model.bodies) * 9.81
-        assert other.potential_energy(q) - other.potential_energy(zero) == pytest.approx(lift, abs=tolerance * weight)
-        assert abs(lift) > 1e-6 * weight
+    for state in states:
+        for got, wanted in zip(other.accelerations(*state), one.accelerations(*state), strict=True):
+            alike(got, wanted, tolerance)
+        q, _, *rates = state[:5]
+        assert other.kinetic_energy(q, *rates) == pytest.approx(one.kinetic_energy(q, *rates), rel=tolerance)
+        if arm.free:
+            assert abs(one.potential_energy(q)) + abs(other.potential_energy(q)) < 1e-20
+            h = one.momentum(q, *rates)
+            assert np.linalg.norm(h) > 1.0
+            alike(other.momentum(q, *rates), h, tolerance)
+        else:
+            zero = np.zeros(arm.n)
+            lift = one.potential_energy(q) - one.potential_energy(zero)
+            # the difference of two energies, each with an error of its own
+            weight = sum(body.mass.value for body in model.bodies) * 9.81
+            assert other.potential_energy(q) - other.potential_energy(zero) == pytest.approx(
+                lift, abs=tolerance * weight
+            )
+            assert abs(lift) > 1e-6 * weight
 
 
 @JOINTS
 @BASES
 @ARMS
 def test_the_engines_agree(joints: int, base: Base, springs: str) -> None:
-    for seed in range(5):
-        arm, model = made(seed, joints, base, springs)
-        rng = np.random.default_rng(seed)
-        for _ in range(4):
-            equal_engines(arm, model, random_state(rng, arm))
+    arm, model = made(0, joints, base, springs)
+    rng = np.random.default_rng(0)
+    equal_engines(arm, model, *(random_state(rng, arm) for _ in range(4)))
 
 
 @BASES
@@ -144,7 +145,7 @@ def points(arm: Arm, model: Model, state: State) -> tuple[Floats, Floats, Floats
 @BASES
 @ARMS
 def test_energy_and_momentum_of_point_masses(name: str, base: Base, springs: str) -> None:
-    for seed in range(5):
+    for seed in range(2):
         arm, model = made(seed, 3, base, springs)
         body = engine(name, arm, model)
         rng = np.random.default_rng(seed)
@@ -174,46 +175,44 @@ def slope(function: Callable[[float], Floats]) -> Floats:
 @BASES
 @ARMS
 def test_power_balance_and_constant_momentum(name: str, joints: int, base: Base, springs: str) -> None:
-    for seed in range(3):
-        arm, model = made(seed, joints, base, springs)
-        body = engine(name, arm, model)
-        state = random_state(np.random.default_rng(seed), arm)
-        alpha0, qdd, thetadd = body.accelerations(*state)
-        stiffness = np.array(
-            [joint.stiffness.value if np.isfinite(joint.stiffness.value) else 0.0 for joint in model.joints]
-        )
-        damping = np.array([joint.damping.value for joint in model.joints])
+    arm, model = made(0, joints, base, springs)
+    body = engine(name, arm, model)
+    state = random_state(np.random.default_rng(0), arm)
+    end = body.accelerations(*state)
+    stiffness = np.array(
+        [joint.stiffness.value if np.isfinite(joint.stiffness.value) else 0.0 for joint in model.joints]
+    )
+    damping = np.array([joint.damping.value for joint in model.joints])
 
-        def at(t: float, state: State = state, end: tuple[Floats, ...] = (alpha0, qdd, thetadd)) -> State:
-            q, theta, omega0, qd, thetad, tau = state
-            return State(q + t * qd, theta + t * thetad, omega0 + t * end[0], qd + t * end[1], thetad + t * end[2], tau)
+    def at(t: float) -> State:
+        q, theta, omega0, qd, thetad, tau = state
+        return State(q + t * qd, theta + t * thetad, omega0 + t * end[0], qd + t * end[1], thetad + t * end[2], tau)
 
-        def energy(t: float, body: Engine = body, stretch: Floats = stiffness) -> float:
-            q, theta, *rates = at(t)[:5]
-            return body.kinetic_energy(q, *rates) + body.potential_energy(q) + 0.5 * float(stretch @ (theta - q) ** 2)
+    def energy(t: float) -> float:
+        q, theta, *rates = at(t)[:5]
+        return body.kinetic_energy(q, *rates) + body.potential_energy(q) + 0.5 * float(stiffness @ (theta - q) ** 2)
 
-        motor = arm.gear_ratios * state.tau * state.thetad
-        damper = damping * (state.thetad - state.qd) ** 2
-        size = body.kinetic_energy(state.q, state.omega0, state.qd, state.thetad)
-        power = motor.sum() - damper.sum()
-        assert slope(energy) == pytest.approx(power, abs=1e-8 * (np.abs(motor).sum() + damper.sum() + size))
-        if arm.free:
-            h = body.momentum(state.q, state.omega0, state.qd, state.thetad)
+    motor = arm.gear_ratios * state.tau * state.thetad
+    damper = damping * (state.thetad - state.qd) ** 2
+    size = body.kinetic_energy(state.q, state.omega0, state.qd, state.thetad)
+    power = motor.sum() - damper.sum()
+    assert slope(energy) == pytest.approx(power, abs=1e-8 * (np.abs(motor).sum() + damper.sum() + size))
+    if arm.free:
+        h = body.momentum(state.q, state.omega0, state.qd, state.thetad)
 
-            def momentum(t: float, body: Engine = body) -> Floats:
-                q, _, *rates = at(t)[:5]
-                return body.momentum(q, *rates)
+        def momentum(t: float) -> Floats:
+            q, _, *rates = at(t)[:5]
+            return body.momentum(q, *rates)
 
-            # h stands still in space, and so turns back in base axes
-            turning = np.cross(state.omega0, h)
-            change = slope(momentum)
-            np.testing.assert_allclose(change, -turning, rtol=0, atol=1e-8 * np.linalg.norm(h))
-            assert np.linalg.norm(turning) > 1e-2 * np.linalg.norm(h)
+        # h stands still in space, and so turns back in base axes
+        turning = np.cross(state.omega0, h)
+        np.testing.assert_allclose(slope(momentum), -turning, rtol=0, atol=1e-8 * np.linalg.norm(h))
+        assert np.linalg.norm(turning) > 1e-2 * np.linalg.norm(h)
 
 
 def against_planar(name: str, arm: Arm, model: Model, rng: np.random.Generator) -> None:
     body, dynamics = engine(name, arm, model), PlanarDynamics.from_model(arm, model)
-    for _ in range(10):
+    for _ in range(3):
         state = random_state(rng, arm)
         rigid = dynamics.rigid
         state = state._replace(
@@ -270,7 +269,7 @@ def test_a_rigid_joint_reads_no_motor_angle(name: str) -> None:
 @pytest.mark.parametrize("kinetic", ["spatial", "planar", "planar-symmetric"])
 def test_random_arms_could_be_built(base: Base, kinetic: Kinetic, tmp_path: Path) -> None:
     """A model file refuses inertias that no body has."""
-    for seed in range(20):
+    for seed in range(2):
         model = made(seed, 7, base, "mixed", kinetic)[1]
         save_model(model, tmp_path / "model.toml")
         for read, body in zip(load_model(tmp_path / "model.toml").bodies, model.bodies, strict=True):

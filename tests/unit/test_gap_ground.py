@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from cli_support import run
 from ground_gap_support import Array, Law, axis, measured, nothing, sign, size
-from ground_support import motion, short_arm, torques
+from ground_support import recorded, short_arm
 
 from zygos.arm import load_arm
 from zygos.can.run import Run
@@ -21,9 +25,12 @@ from zygos.gap.ground.page import write_ground_gap_report
 from zygos.model.model import Model, Quantity
 from zygos.report.provenance import provenance
 from zygos.reports import write_report
-from zygos.runs.cycles import Cycles
+from zygos.runs.tables import read_cycles
 
-ROOT = Path(__file__).parents[2]
+PENDULUM = Path(__file__).parents[2] / "examples" / "pendulum"
+
+
+SECONDS = 8.0
 
 
 def _explained(runs: list[Run], model: Model | None = None) -> GroundExplanation:
@@ -31,7 +38,18 @@ def _explained(runs: list[Run], model: Model | None = None) -> GroundExplanation
     return explain_ground(arm, model or simulation, runs[:2], runs[2:])
 
 
-def _found(x: GroundExplanation) -> dict[str, float]:
+def _lacking(laws: Sequence[Law] | Law = nothing, **options: Any) -> GroundExplanation:
+    """What is said of three runs with laws of friction; options: as of `measured`."""
+    return _explained(measured(laws, **{"seconds": SECONDS} | options))
+
+
+@cache
+def _cubic() -> GroundExplanation:
+    """What is said of a friction that is not quite any of the catalogue."""
+    return _lacking(lambda q, qd: 0.1 * size() * qd**3)
+
+
+def _sizes(x: GroundExplanation) -> dict[str, float]:
     return {finding.kind: finding.value for finding in x.findings}
 
 
@@ -39,21 +57,20 @@ def _coulomb(share: float) -> Law:
     return lambda q, qd: share * size() * sign(qd)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_nothing_is_missing_whatever_the_offset_of_the_torque(noise: float) -> None:
-    for offset in (0.0, 0.1 * size()):
-        x = _explained(measured(nothing, noise=noise, offset=offset))
-        assert (x.answer, x.findings) == ("nothing missing", ()), x.sentence
-        assert all(np.isfinite(one.limit) and one.limit > 0.0 for one in x.search.rounds[0])
-        assert x.model is not None
+@pytest.mark.parametrize(("noise", "offset"), [(0.0, 0.0), (1.0, 0.1)])
+def test_nothing_is_missing_whatever_the_offset_of_the_torque(noise: float, offset: float) -> None:
+    x = _lacking(noise=noise, offset=offset * size())
+    assert (x.answer, x.findings) == ("nothing missing", ()), x.sentence
+    assert all(np.isfinite(candidate.limit) and candidate.limit > 0.0 for candidate in x.search.rounds[0])
+    assert x.model is not None
 
 
 @pytest.mark.slow
 def test_seeds_without_an_effect_have_no_name() -> None:
-    answers = [_explained(measured(nothing, seed=seed, offset=0.01 * seed)).answer for seed in range(20)]
-    assert set(answers) == {"nothing missing"}
+    assert {_lacking(seed=seed, offset=0.01 * seed).answer for seed in range(1, 7)} == {"nothing missing"}
 
 
+@pytest.mark.slow(but=["1.0"])
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_coulomb_friction_then_viscous_friction_that_differs_between_the_directions(noise: float) -> None:
     c, forward, backward = 0.1 * size(), 0.08 * size(), 0.03 * size()
@@ -61,15 +78,15 @@ def test_coulomb_friction_then_viscous_friction_that_differs_between_the_directi
     def law(q: Array, qd: Array) -> Array:
         return c * sign(qd) + np.where(qd > 0.0, forward, backward) * qd
 
-    x = _explained(measured(law, noise=noise))
+    x = _lacking(law, noise=noise)
     assert x.answer == "named", x.sentence
-    assert list(_found(x)) == ["motor_coulomb", "motor_viscous", "viscous_asymmetry"]
+    assert list(_sizes(x)) == ["motor_coulomb", "motor_viscous", "viscous_asymmetry"]
     mean, half = 0.5 * (forward + backward), 0.5 * (forward - backward)
-    assert list(_found(x).values()) == pytest.approx([c, mean, half], rel=0.01)
+    assert list(_sizes(x).values()) == pytest.approx([c, mean, half], rel=0.01)
     assert x.gap is not None
     assert x.gap.closed < 0.1 * x.gap.refit
     assert x.model is not None
-    assert {effect.kind.key for effect in x.model.effects} == set(_found(x))
+    assert {effect.kind.key for effect in x.model.effects} == set(_sizes(x))
 
 
 @pytest.mark.slow
@@ -77,7 +94,7 @@ def test_coulomb_friction_that_differs_between_the_directions_looks_like_an_offs
     def law(q: Array, qd: Array) -> Array:
         return np.where(qd > 0.0, 0.12, 0.06) * size() * sign(qd)
 
-    runs = measured(law)
+    runs = measured(law, seconds=SECONDS)
     moving = _explained(runs)
     assert moving.answer == "named", moving.sentence
     assert [(f.kind, f.instead) for f in moving.findings] == [
@@ -93,63 +110,57 @@ def test_coulomb_friction_that_differs_between_the_directions_looks_like_an_offs
     assert [f.instead for f in undecided.findings] == [("coulomb_asymmetry1",)]
     assert undecided.model is None
     assert "rest" in undecided.remedy
-    resting = _explained(measured(law, rests=True))
-    assert _found(resting)["coulomb_asymmetry"] == pytest.approx(0.03 * size(), rel=0.1)
+    resting = _lacking(law, rests=True, seconds=20.0)
+    assert _sizes(resting)["coulomb_asymmetry"] == pytest.approx(0.03 * size(), rel=0.1)
     assert not any(f.instead for f in resting.findings)
 
 
 def test_an_offset_that_stays_at_rest_is_an_offset() -> None:
-    x = _explained(measured(_coulomb(0.1), offset=0.03 * size(), rests=True))
-    assert (x.answer, list(_found(x))) == ("named", ["motor_coulomb"]), x.sentence
+    x = _lacking(_coulomb(0.1), offset=0.03 * size(), rests=True, seconds=10.0)
+    assert (x.answer, list(_sizes(x))) == ("named", ["motor_coulomb"]), x.sentence
     assert any("also at rest" in note for note in x.notes)
 
 
 def test_a_law_that_is_not_exactly_that_of_the_catalogue_is_named_in_part() -> None:
-    x = _explained(measured(lambda q, qd: 0.1 * size() * qd**3))
+    x = _cubic()
     assert x.answer == "part named", x.sentence
-    assert list(_found(x)) == ["motor_viscous"]
+    assert list(_sizes(x)) == ["motor_viscous"]
     (rest,) = x.verdict.left  # type: ignore[union-attr]
     assert rest.over == "rate"
     assert rest.size > 3.0 * rest.floor
 
 
-@pytest.mark.parametrize("speed", [0.21, 0.38])
-def test_a_stribeck_velocity_between_those_of_the_catalogue(speed: float) -> None:
-    c, v, s = 0.1 * size(), 0.1 * size(), 0.08 * size()
-    for seed in range(4):
-        x = _explained(measured(lambda q, qd: (c + s * np.exp(-((qd / speed) ** 2))) * sign(qd) + v * qd, seed=seed))
-        assert x.answer == "named", x.sentence
-        found = {finding.kind: finding for finding in x.findings}
-        assert set(found) == {"motor_coulomb", "motor_viscous", "motor_stribeck"}
-        # the grid has 0.158, 0.281 and 0.5 rad/s
-        assert found["motor_stribeck"].shape == pytest.approx(speed, rel=0.06)
-        for kind, size_ in (("motor_coulomb", c), ("motor_viscous", v), ("motor_stribeck", s)):
-            low, high = found[kind].interval
-            assert low < size_ < high, (kind, seed)
+@pytest.mark.slow(but=["0.38-*"])
+@pytest.mark.parametrize(("speed", "seed", "seconds"), [(0.38, 0, SECONDS), (0.21, 1, 20.0)])
+def test_a_stribeck_velocity_between_those_of_the_catalogue(speed: float, seed: int, seconds: float) -> None:
+    sizes = {"motor_coulomb": 0.1 * size(), "motor_viscous": 0.1 * size(), "motor_stribeck": 0.08 * size()}
+
+    def law(q: Array, qd: Array) -> Array:
+        coulomb, viscous, stribeck = sizes.values()
+        return (coulomb + stribeck * np.exp(-((qd / speed) ** 2))) * sign(qd) + viscous * qd
+
+    x = _lacking(law, seed=seed, seconds=seconds)
+    assert x.answer == "named", x.sentence
+    findings = {finding.kind: finding for finding in x.findings}
+    assert set(findings) == set(sizes)
+    # the grid has 0.158, 0.281 and 0.5 rad/s
+    assert findings["motor_stribeck"].shape == pytest.approx(speed, rel=0.06)
+    for kind, wanted in sizes.items():
+        low, high = findings[kind].interval
+        assert low < wanted < high, kind
 
 
 def test_what_the_twin_shows_as_well_is_no_effect() -> None:
-    arm, model = short_arm(friction=False, torque_noise=0.003)
-    runs = []
-    for path in range(3):
-        q, qd, qdd = motion(arm, 20.0, path)
-        ideal = torques(arm, model, q, qd, qdd)
-        noise = 0.3 * np.array([joint.torque_sigma for joint in arm.joints])
-        tau = ideal + 0.1 * np.abs(ideal) * sign(10.0 * qd) + noise * np.random.default_rng(path).normal(size=q.shape)
-        step = np.array([joint.motor_encoder.quantum_rad for joint in arm.joints])
-        read, count = np.round(q / step) * step, len(q)
-        cycles = Cycles(
-            np.arange(count, dtype=np.uint64), read, read, tau, np.zeros((count, 3)), np.zeros(count, dtype=np.uint32)
-        )
-        runs.append(Run.of_cycles(arm, cycles))
+    arm, model = short_arm(2, friction=False, torque_noise=0.003)
+    runs = [recorded(arm, model, path=k, seed=k, noise=0.3, more={"load": 0.1}) for k in range(3)]
     x = explain_ground(arm, model, runs[:2], runs[2:])
-    # the smoother's error at reversals is a viscous friction of 5e-4 Nms that differs between the directions
+    # the smoother's error at reversals is a lag of 0.1 ms of the first joint's torque
     assert x.answer == "named", x.sentence
-    assert [f.kind for f in x.findings] == ["load_friction"] * 3
+    assert {(f.kind, f.joint) for f in x.findings} == {("load_friction", "joint1"), ("load_friction", "joint2")}
 
 
 def test_a_torque_of_the_angle_is_unknown() -> None:
-    x = _explained(measured(lambda q, qd: 0.05 * size() * np.sin(7.0 * q)))
+    x = _lacking(lambda q, qd: 0.05 * size() * np.sin(7.0 * q))
     assert (x.answer, x.model) == ("unknown", None), x.sentence
     assert x.remedy
 
@@ -158,13 +169,13 @@ def test_a_friction_of_the_simulation_that_is_too_large_and_a_wrong_body_are_val
     arm, model = axis()
     base = model.base_parameters(arm)
     base["mz1"] = Quantity(1.1 * base["mz1"].value, 0.0, "CAD", base["mz1"].unit)
-    x = _explained(measured(nothing), Model("heavier", parameters=base))
+    x = _explained(measured(nothing, seconds=SECONDS), Model("heavier", parameters=base))
     assert x.answer == "values differ", x.sentence
     assert [value.name for value in x.values if value.differs] == ["mz1"]
 
 
 def test_a_friction_that_begins_in_the_second_run_is_a_change() -> None:
-    x = _explained(measured([nothing, _coulomb(0.1), _coulomb(0.1)]))
+    x = _lacking([nothing, _coulomb(0.1), _coulomb(0.1)])
     assert x.answer == "changed", x.sentence
     change = x.verdict.change  # type: ignore[union-attr]
     assert (change.what, change.run, change.between) == ("motor_coulomb1", 1, True)
@@ -173,8 +184,8 @@ def test_a_friction_that_begins_in_the_second_run_is_a_change() -> None:
 
 def test_torques_that_are_reported_late_are_timing_first() -> None:
     runs = [
-        replace(run, frames=None, table=replace(run.cycles, tau=np.roll(run.cycles.tau, 2, axis=0)))
-        for run in measured(_coulomb(0.1))
+        replace(moved, frames=None, table=replace(moved.cycles, tau=np.roll(moved.cycles.tau, 2, axis=0)))
+        for moved in measured(_coulomb(0.1), seconds=SECONDS)
     ]
     x = _explained(runs)
     assert (x.answer, x.findings, x.model) == ("unknown", (), None)
@@ -186,20 +197,19 @@ def test_motor_currents_are_turned_into_torques() -> None:
     arm, model = axis()
     amps = replace(arm, torque_unit="A", joints=(replace(arm.joints[0], torque_sigma=0.0),))
     runs = [
-        replace(run, arm=amps, frames=None, table=replace(run.cycles, tau=run.cycles.tau / 7.0))
-        for run in measured(_coulomb(0.1))
+        replace(moved, arm=amps, frames=None, table=replace(moved.cycles, tau=moved.cycles.tau / 7.0))
+        for moved in measured(_coulomb(0.1), seconds=SECONDS)
     ]
     x = explain_ground(amps, model, runs[:2], runs[2:])
-    assert (x.answer, list(_found(x))) == ("named", ["motor_coulomb"]), x.sentence
-    assert _found(x)["motor_coulomb"] == pytest.approx(0.1 * size(), rel=0.02)
+    assert (x.answer, list(_sizes(x))) == ("named", ["motor_coulomb"]), x.sentence
+    assert _sizes(x)["motor_coulomb"] == pytest.approx(0.1 * size(), rel=0.02)
     assert any("motor currents" in note for note in x.notes)
 
 
 def test_a_single_run_is_cut_into_thirds() -> None:
     arm, model = axis()
-    run = measured(_coulomb(0.1), seconds=40.0)[0]
-    x = explain_ground(arm, model, [run])
-    assert (x.answer, list(_found(x))) == ("named", ["motor_coulomb"]), x.sentence
+    x = explain_ground(arm, model, measured(_coulomb(0.1), seconds=2.0 * SECONDS)[:1])
+    assert (x.answer, list(_sizes(x))) == ("named", ["motor_coulomb"]), x.sentence
     assert (len(x.measured), len(x.validated)) == (2, 1)
     with pytest.raises(ZygosError, match="cannot be cut into 3 parts"):
         explain_ground(arm, model, [measured(nothing, seconds=4.0)[0]])
@@ -208,13 +218,15 @@ def test_a_single_run_is_cut_into_thirds() -> None:
 def test_what_is_no_arm_on_the_ground_is_refused() -> None:
     arm, model = axis()
     with pytest.raises(ZygosError, match="floats or has flexible joints"):
-        explain_ground(replace(arm, joints=(replace(arm.joints[0], flexible=True),)), model, measured(nothing))
+        explain_ground(
+            replace(arm, joints=(replace(arm.joints[0], flexible=True),)), model, measured(nothing, seconds=SECONDS)
+        )
     with pytest.raises(ZygosError, match="no measured run"):
         explain_ground(arm, model, [])
 
 
 def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
-    x = _explained(measured(lambda q, qd: 0.1 * size() * qd**3))
+    x = _cubic()
     source = provenance(["explain"], [])
     write_ground_gap_report(tmp_path / "gap.html", x, source)
     page = (tmp_path / "gap.html").read_text()
@@ -230,11 +242,14 @@ def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_path: Path) -> None:
-    from zygos.demo.real import converted
-
-    example = ROOT / "examples/pendulum"
-    runs = [converted(name, tmp_path, example) for name in ("00", "01", "02", "03", "11")]
-    arm = load_arm(tmp_path / "00/arm.toml")
+    dbc_and_map = ("--dbc", PENDULUM / "arm.dbc", "--map", PENDULUM / "map.toml")
+    runs = []
+    for name in ("00", "01", "02", "03", "11"):
+        table = tmp_path / name / "run.npz"
+        table.parent.mkdir()
+        assert run("convert", PENDULUM / f"{name}.blf", *dbc_and_map, "-o", table) == 0
+        arm = load_arm(table.parent / "arm.toml")
+        runs.append(Run(arm, table=read_cycles(table, arm), path=table))
     known = {"mz1": -0.349118, "Ixx1": 0.107862, "mz2": -0.111065, "Ixx2": 0.0239237}
     base = {
         name: Quantity(known.get(name, 0.0), 0.0, "test", unit)

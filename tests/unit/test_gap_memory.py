@@ -7,34 +7,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from gap_arms_support import begun
+from plant_runs_support import planar_trial, records
 
-from oracles.arms import Plant, planar
+from oracles.arms import Plant
 from oracles.hidden import BoucWen, Sliders, motor_eccentricity
 from oracles.tree import Swinging
-from zygos.can.run import Run
-from zygos.dynamics.equations import from_model
 from zygos.effects import CATALOGUE, Kind, Memory, Motion
 from zygos.effects.memory import at_rest
 from zygos.errors import ZygosError
-from zygos.gap.balances import Acting, Layout
+from zygos.gap.balances import Acting
 from zygos.gap.findings import Finding, Significance
 from zygos.gap.fit import Hypothesis
-from zygos.gap.null import FLOOR, null_sigmas
+from zygos.gap.null import FLOOR
 from zygos.gap.record import MeasuredRun
-from zygos.gap.runs import record_of
 from zygos.gap.search import completeness, polished, search
 from zygos.gap.sentences import listed
-from zygos.gap.study import Study, again, begin, read_hypothesis
+from zygos.gap.study import Study, again
 
-SECONDS = 16.0
+SECONDS = 12.0
 SIZE, DISTANCE = 0.05, 0.01
 INERTIA, FREQUENCY = 20.0, 0.5
-BASE = (0.0, 0.0, 0.0)
 OWN = (
     Acting(CATALOGUE["motor_dahl"], 1, shape=0.008),
     Acting(CATALOGUE["motor_maxwell"], 1, shape=DISTANCE),
@@ -46,69 +43,55 @@ PLANTS: dict[str, dict[str, Any]] = {
     "nothing": {},
     "motor_dahl2@0.008": {"laws": (BoucWen(1, SIZE, DISTANCE),)},
     "motor_maxwell2@0.01": {"laws": (Sliders(1, SIZE, DISTANCE),)},
-    "base_oscillator@0.5": {"swinging": Swinging("hinge", (0.0, 0.0, 1.0), BASE, 20.0, INERTIA, FREQUENCY, 0.01)},
+    "base_oscillator@0.5": {
+        "swinging": Swinging("hinge", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 20.0, INERTIA, FREQUENCY, 0.01)
+    },
     "base_oscillator@0.5 (fuel)": {
-        "swinging": Swinging("slide", (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), INERTIA, 0.1, 0.5, 0.01)
+        "swinging": Swinging("slide", (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), INERTIA, 0.1, FREQUENCY, 0.01)
     },
     "motor_eccentricity_sin2": {"sensors": (motor_eccentricity(1, 1e-4, 50.0),)},
 }
+TRIAL = planar_trial()
 TRUE = {"base_oscillator@0.5": INERTIA, "motor_eccentricity_sin2": 1e-4}
 
 
 @cache
-def records(name: str) -> tuple[MeasuredRun, ...]:
-    trial = planar()
-    plant = Plant(trial, replace(trial.drawn, effects=()), **PLANTS[name])
-    runs = [Run(trial.arm, table=plant.run(which, 3, SECONDS)[0], path=Path("abc"[which])) for which in (0, 1)]
-    return tuple(record_of(run) for run in runs)
+def flown(name: str) -> tuple[MeasuredRun, ...]:
+    """Two runs of a plant."""
+    return records(Plant(TRIAL, replace(TRIAL.drawn, effects=()), **PLANTS[name]), (SECONDS, SECONDS), seed=3)
 
 
-@cache
-def study(name: str) -> Study:
-    """The true model's equations, without what is hidden, fitted to two runs."""
-    trial = planar()
-    model = replace(trial.drawn, effects=())
-    hypothesis = read_hypothesis(Layout(trial.arm), model)
-    wide = replace(hypothesis, layout=replace(hypothesis.layout, own=OWN))
-    return begin(records(name), wide, from_model(trial.arm, model))
-
-
-def scores(found: Study, name: str) -> tuple[float, float, list[float]]:
-    """Coefficient on both runs together, its deviation, and its scores on each."""
+def scores(found: Study, name: str) -> tuple[float, list[float]]:
+    """Coefficient on both runs together, and its scores on each."""
     wider = replace(found.hypothesis, effects=(*found.hypothesis.effects, name))
     null = [found.of_twin(wider, [run]).of(name) for run in (0, 1)]
     each = [float(found.of(wider, [run]).of(name)) for run in (0, 1)]
     z = [float((x - draw.mean()) / draw.std(ddof=1)) for x, draw in zip(each, null, strict=True)]
-    return float(found.of(wider).of(name)), float(null_sigmas(found, [name])[0]), z
+    return float(found.of(wider).of(name)), z
 
 
 def test_nothing_stands_out_where_nothing_is_hidden() -> None:
-    found = study("nothing")
-    print(found.layout.balances, found.excess.round(2))
+    found = begun(TRIAL, flown("nothing"), OWN)
     assert np.all(np.abs(found.excess**2 - 1.0) < np.maximum(0.3, 4.0 * found.wobble))
     for one in OWN:
-        _, _, z = scores(found, one.name)
-        print(one.name, z)
+        _, z = scores(found, one.name)
         assert min(abs(x) for x in z) < FLOOR
 
 
 @pytest.mark.slow(but=["motor_eccentricity_sin2"])
 @pytest.mark.parametrize("name", [name for name in PLANTS if name != "nothing"])
 def test_what_is_hidden_stands_out_with_its_size(name: str) -> None:
-    found = study(name)
+    found = begun(TRIAL, flown(name), OWN)
     assert np.nanmax(found.excess) > 2.0
     name = name.partition(" ")[0]
-    got, sigma, z = scores(found, name)
-    print(got, sigma, z, found.excess.round(1))
+    got, z = scores(found, name)
     assert min(abs(x) for x in z) > 3.0 * FLOOR
     assert got == pytest.approx(TRUE.get(name, SIZE), rel=0.1 if "oscillator" in name else 0.02)
     share = {one.name: min(completeness(found, found.of(of(found, one.name)).rms)) for one in OWN}
-    print({key: round(value, 3) for key, value in share.items()})
     # laws that bend before they slide are twins
     assert all(share[name] > share[one.name] + 0.02 for one in OWN if not same_family(found, one.name, name))
     assert share[name] > 0.8
     after = again(found, of(found, name))
-    print(after.excess.round(2))
     assert np.nanmax(after.excess) < 0.35 * np.nanmax(found.excess)
 
 
@@ -157,17 +140,11 @@ def test_a_finding_with_a_law_of_ones_own_is_spoken_of_anywhere() -> None:
 
 @pytest.mark.slow
 def test_the_shape_of_a_law_is_found_between_those_of_the_search() -> None:
-    trial = planar()
-    model = replace(trial.drawn, effects=())
-    hypothesis = read_hypothesis(Layout(trial.arm), model)
     own = (
         *(Acting(CATALOGUE["motor_maxwell"], 1, shape=shape) for shape in (0.00464, 0.0215)),
         Acting(CATALOGUE["motor_dahl"], 1, shape=0.00215),
     )
-    wide = replace(hypothesis, layout=replace(hypothesis.layout, own=own))
-    first = search(begin(records("motor_maxwell2@0.01"), wide, from_model(trial.arm, model)))
-    found = polished(first)
-    print([(one.name, one.value) for one in (*first.named, *found.named)], found.after.excess)
+    found = polished(search(begun(TRIAL, flown("motor_maxwell2@0.01"), own)))
     (one,) = found.named
     assert one.kind.key == "motor_maxwell"
     # ten elements begin to slide earlier than four

@@ -8,16 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gap_support import example
-from runs_support import trajectory_of
 
 from zygos.arm import load_arm
-from zygos.gap.answer import change_json
-from zygos.gap.explain import explain
 from zygos.gap.payload import payload_of
-from zygos.gap.record import read_measured_run
-from zygos.gap.verdicts import Changed
 from zygos.model.model import Model, load_model
-from zygos.native.flight import encode
 
 SPATIAL = Path(__file__).parents[2] / "examples" / "spatial"
 
@@ -85,25 +79,3 @@ def test_a_point_mass_in_space() -> None:
     assert values[f"m{body}"] == pytest.approx(mass, rel=1e-3)
     for axis, x in zip("xyz", place, strict=True):
         assert values[f"m{axis}{body}"] == pytest.approx(mass * x, rel=1e-2)
-
-
-@pytest.mark.slow
-def test_what_the_arm_takes_up_between_two_runs_is_reported_in_kg() -> None:
-    records = []
-    for seed, name in enumerate("abc"):
-        arm, model, scenario = example(name)
-        plant = carrying(model, 100.0, (2.5, 0.0, 0.0)) if seed else model
-        run = trajectory_of(arm, plant, scenario, seeds=[seed], duration_s=20.0, rtol=1e-9, atol=1e-11)
-        records.append(read_measured_run(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
-    found = explain(arm, model, records[:2], records[2:])
-    assert isinstance(found.verdict, Changed), found.sentence
-    assert "took on or lost a payload between run-a.blf and run-b.blf" in found.sentence
-    wanted = {"m2": 100.0, "mx2": 250.0, "Izz2": 625.0}
-    for one in found.verdict.payload:
-        low, high = one.interval
-        assert low < wanted.pop(one.name) < high
-        assert high - low < 0.1 * abs(one.value)
-    assert not wanted
-    change = change_json(found.verdict)
-    assert change is not None
-    assert [one["name"] for one in change["payload"]] == ["m2", "mx2", "Izz2"]

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gap_support import effect, example
 from runs_support import trajectory_of
 
-from zygos.arm import load_arm
-from zygos.effects import CATALOGUE, Effect
+from zygos.arm import Smoother
 from zygos.gap.experiment import Experiment
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
@@ -37,13 +37,10 @@ from zygos.gap.verdicts import (
     Unpredicted,
     ValuesDiffer,
 )
-from zygos.model.model import load_model
 from zygos.native.flight import encode
 from zygos.report.figures import figure
 from zygos.report.provenance import Provenance
-from zygos.simulation.scenario import load_scenario
 
-GAP = Path(__file__).parents[2] / "examples" / "gap"
 HASHES = tuple(f"{k:x}" * 64 for k in range(1, 6))
 PROVENANCE = Provenance(
     "zygos explain --simulation cad.toml --measured A.blf B.blf --validate C.blf -o new.toml",
@@ -55,13 +52,13 @@ HOSTILE = "</script><script>alert(1)</script>\"'&"
 
 @pytest.fixture(scope="module")
 def friction() -> Explanation:
-    """Coulomb friction at the elbow, in 5 s of each run."""
-    arm, model = load_arm(GAP / "arm.toml"), load_model(GAP / "cad.toml")
-    plant = replace(model, effects=(*model.effects, Effect(CATALOGUE["motor_coulomb"], "elbow", 0.05)))
+    """Coulomb friction at the elbow, in 10 s of each run at 50 Hz."""
+    arm, model, _ = example()
+    arm = replace(arm.at_period(0.02), smoother=Smoother(7, 4, 3))
+    plant = replace(model, effects=(*model.effects, effect(arm, "motor_coulomb", 1, 0.05)))
     runs = []
     for k, name in enumerate("abc"):
-        scenario = load_scenario(GAP / f"{name}.toml")
-        run = trajectory_of(arm, plant, scenario, seeds=[k], noise=True, duration_s=5.0, rtol=1e-9, atol=1e-11)
+        run = trajectory_of(arm, plant, example(name)[2], seeds=[k], noise=True, duration_s=10.0, rtol=1e-9, atol=1e-11)
         runs.append(read_measured_run(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
     found = explain(arm, model, runs[:2], runs[2:])
     assert found.answer == "named"

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from plant_runs_support import planar_trial, records
 
-from oracles.arms import Plant, planar
+from oracles.arms import Plant
 from oracles.hidden import Leak
-from zygos.can.run import Run
 from zygos.dynamics.equations import from_model
 from zygos.effects import CATALOGUE
 from zygos.gap.balances import Acting, Layout
 from zygos.gap.null import chance
-from zygos.gap.runs import record_of
 from zygos.gap.search import Candidate, Search, completeness, polished
 from zygos.gap.study import Study, again, begin, read_hypothesis
 
-SECONDS = 16.0
+SECONDS = 12.0
 ONSET_S, SIZE = 6.5, 5.0
 """Of the leak that is hidden, Nm."""
 FINER = (4.8, 5.3, 5.8)
@@ -29,14 +27,13 @@ FINER = (4.8, 5.3, 5.8)
 def leaking() -> Study:
     """The arm's own equations, fitted to two runs of an arm whose base is pushed from an instant on, with the columns
     of a leak on the finer grid."""
-    trial = planar()
+    trial = planar_trial()
     model = replace(trial.drawn, effects=())
-    plant = Plant(trial, model, laws=(Leak(-1, SIZE, onset=ONSET_S),))
-    runs = [Run(trial.arm, table=plant.run(which, 5, SECONDS)[0], path=Path("abc"[which])) for which in (0, 1)]
+    runs = records(Plant(trial, model, laws=(Leak(-1, SIZE, onset=ONSET_S),)), (SECONDS, SECONDS))
     hypothesis = read_hypothesis(Layout(trial.arm), model)
     own = tuple(Acting(CATALOGUE["base_leak"], -1, shape=onset) for onset in FINER)
     layout = replace(hypothesis.layout, own=own, shapes=(("base_leak", FINER),))
-    return begin([record_of(run) for run in runs], replace(hypothesis, layout=layout), from_model(trial.arm, model))
+    return begin(runs, replace(hypothesis, layout=layout), from_model(trial.arm, model))
 
 
 def test_the_best_of_a_finer_grid_may_lie_at_its_end(leaking: Study) -> None:
@@ -49,7 +46,6 @@ def test_the_best_of_a_finer_grid_may_lie_at_its_end(leaking: Study) -> None:
     one = Candidate(name, kind, -1, FINER[-1], value, (), (), 0.0, share, 0.0, 0.0, 0.0, 0.0, "")
     found = polished(Search(leaking, after, (one,), (), share, ((name,),), chance(leaking, [name])))
     (named,) = found.named
-    print(named.name, named.value, found.after.excess.round(2))
     # the leak grows to its size within a third of a second
     assert named.shape == pytest.approx(ONSET_S + 0.15, abs=0.3)
     assert named.value == pytest.approx(SIZE, rel=0.05)

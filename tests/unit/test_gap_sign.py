@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from runs_support import trajectory_of
+from plant_runs_support import planar_trial, records
 
-from zygos.arm import load_arm
+from oracles.arms import Plant
+from oracles.hidden import MotorCoulomb
 from zygos.dynamics.equations import from_model
-from zygos.effects import CATALOGUE, Effect
+from zygos.effects import CATALOGUE
 from zygos.gap import explain as module
 from zygos.gap.balances import Layout
 from zygos.gap.findings import Finding, Significance
 from zygos.gap.null import FLOOR, chance
-from zygos.gap.record import MeasuredRun, read_measured_run
+from zygos.gap.record import MeasuredRun
 from zygos.gap.search import Search, candidates, struck
 from zygos.gap.sentences import verdict as said
 from zygos.gap.study import again, begin, read_hypothesis
 from zygos.gap.verdicts import Lacking, PartNamed, Unexplained, Verdict
-from zygos.model.model import load_model
-from zygos.native.flight import encode
-from zygos.simulation.scenario import load_scenario
 
-GAP = Path(__file__).parents[2] / "examples" / "gap"
 REAL, SPURIOUS = "motor_coulomb2", "motor_viscous1"
-ARM, MODEL = load_arm(GAP / "arm.toml"), load_model(GAP / "cad.toml")
+TRIAL = planar_trial()
+ARM, MODEL = TRIAL.arm, TRIAL.drawn
 
 
 def finding(key: str, joint: str, value: float, sigma: float, assumed: float | None = None) -> Finding:
@@ -46,16 +43,7 @@ def test_the_interval_says_a_sign(value: float, sigma: float, assumed: float | N
 @pytest.fixture(scope="module")
 def runs() -> tuple[MeasuredRun, ...]:
     """Coulomb friction at the elbow, in 5 s of each of two runs."""
-    plant = replace(MODEL, effects=(*MODEL.effects, Effect(CATALOGUE["motor_coulomb"], "elbow", 0.05)))
-    made = [
-        trajectory_of(ARM, plant, load_scenario(GAP / f"{name}.toml"), seeds=[k], noise=True, duration_s=5.0,
-                 rtol=1e-9, atol=1e-11)
-        for k, name in enumerate("ab")
-    ]  # fmt: skip
-    return tuple(
-        read_measured_run(ARM, Path(f"{name}.blf"), encode(ARM, one.cycles()))
-        for name, one in zip("ab", made, strict=True)
-    )
+    return records(Plant(TRIAL, replace(MODEL, effects=()), (MotorCoulomb(1, 0.05),)), (5.0, 5.0))
 
 
 @pytest.fixture(scope="module")

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from trial_support import runs_of, sampled
 
-from oracles.arms import Plant, planar
+from oracles.arms import Plant, Trial, planar
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.dynamics.equations import from_model
 from zygos.gap.balances import Layout
 from zygos.gap.runs import record_of
 from zygos.gap.study import Study, begin, read_hypothesis
-from zygos.runs.cycles import Cycles
 
 SECONDS = 16.0
 NOISE = 0.02
@@ -24,10 +23,10 @@ OFFSET, GAIN = (0.4, -0.4), (0.0, 0.015)
 
 
 @cache
-def recorded() -> tuple[Cycles, ...]:
-    trial = planar()
-    plant = Plant(trial, replace(trial.drawn, effects=()))
-    return tuple(plant.run(which, 5, SECONDS)[0] for which in (0, 1))
+def recorded() -> tuple[Trial, tuple[Run, ...]]:
+    """The arm at 50 Hz, and two runs of it."""
+    trial = sampled(planar(), 0.02, 7)
+    return trial, runs_of(Plant(trial, replace(trial.drawn, effects=())), 5, SECONDS)
 
 
 def noisy(arm: Arm) -> Arm:
@@ -35,12 +34,13 @@ def noisy(arm: Arm) -> Arm:
 
 
 def study(offset: tuple[float, float], gain: tuple[float, float]) -> Study:
-    trial, random = planar(), np.random.default_rng(1)
+    (trial, runs), random = recorded(), np.random.default_rng(1)
     arm, model = noisy(trial.arm), replace(trial.drawn, effects=())
     records = []
-    for cycles, name in zip(recorded(), "ab", strict=True):
-        tau = cycles.tau * (1.0 + np.array(gain)) + np.array(offset) + NOISE * random.standard_normal(cycles.tau.shape)
-        records.append(record_of(Run(arm, table=replace(cycles, tau=tau), path=Path(name))))
+    for run in runs:
+        exact = run.cycles.tau
+        tau = exact * (1.0 + np.array(gain)) + np.array(offset) + NOISE * random.standard_normal(exact.shape)
+        records.append(record_of(replace(run, arm=arm, table=replace(run.cycles, tau=tau))))
     return begin(records, read_hypothesis(Layout(arm), model), from_model(arm, model))
 
 

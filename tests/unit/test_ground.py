@@ -27,12 +27,21 @@ from zygos.simulation.scenario import load_scenario
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+OFFSETS = np.array([[0.01, -0.02, 0.005], [-0.01, 0.01, 0.02]])
+
+
 @cache
-def _setup() -> tuple[Arm, Model, Run, Run]:
-    arm, model = short_arm()
-    first = recorded(arm, model, path=0, seed=0, offset=[0.01, -0.02, 0.005])
-    second = recorded(arm, model, path=1, seed=1, offset=[-0.01, 0.01, 0.02])
+def _setup(joints: int = 3) -> tuple[Arm, Model, Run, Run]:
+    """An arm and two runs of it. Two joints are cheaper, and three show what gravity and a payload do."""
+    arm, model = short_arm(joints)
+    first, second = (recorded(arm, model, path=k, seed=k, offset=OFFSETS[k, :joints]) for k in (0, 1))
     return arm, model, first, second
+
+
+@cache
+def _learned() -> Model:
+    """What the first run of two joints says."""
+    return estimate_ground([_setup(2)[2]]).to_model()
 
 
 def _truth(found: GroundEstimate, model: Model) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -47,10 +56,10 @@ def _within(found: GroundEstimate, truth: np.ndarray[tuple[int], np.dtype[np.flo
 
 
 def test_two_runs_with_different_offsets_give_one_arm() -> None:
-    arm, model, first, second = _setup()
+    arm, model, first, second = _setup(2)
     found = estimate_ground([first, second])
     assert found.validity == "valid", found.reason
-    assert np.abs(found.solution.offset - [[0.01, -0.02, 0.005], [-0.01, 0.01, 0.02]]).max() < 1e-3
+    assert np.abs(found.solution.offset - OFFSETS[:, :2]).max() < 1e-3
     assert _within(found, _truth(found, model)) <= 0.2
     declared = np.array([joint.torque_sigma for joint in arm.joints])
     assert np.all(found.torque_sigma < 2.5 * declared)
@@ -59,7 +68,7 @@ def test_two_runs_with_different_offsets_give_one_arm() -> None:
 
 @pytest.mark.slow
 def test_intervals_hold_over_seeds() -> None:
-    arm, model = short_arm()
+    arm, model = short_arm(2)
     missed, beyond = [], []
     for seed in range(16):
         run = recorded(arm, model, path=2, seed=seed, seconds=16.0, offset=0.01)
@@ -75,9 +84,9 @@ def test_intervals_hold_over_seeds() -> None:
 
 @pytest.mark.parametrize(("offset", "noise"), [(0.05, 1.0), (0.0, 5.0)])
 def test_an_offset_or_loud_torques_leave_good_parameters_good(offset: float, noise: float) -> None:
-    arm, model, *_ = _setup()
+    arm, model, *_ = _setup(2)
     quiet = replace(arm, joints=tuple(replace(joint, torque_sigma=0.0) for joint in arm.joints))
-    run = recorded(arm, model, path=0, seed=3, seconds=16.0, offset=offset, noise=noise)
+    run = recorded(arm, model, path=0, seed=3, seconds=10.0, offset=offset, noise=noise)
     found = estimate_ground([replace(run, arm=quiet)])
     assert found.validity in ("valid", "partial"), found.reason
     assert found.determined.mean() > 0.85
@@ -86,9 +95,8 @@ def test_an_offset_or_loud_torques_leave_good_parameters_good(offset: float, noi
 
 
 def test_a_model_predicts_a_run_that_it_never_saw() -> None:
-    _, model, first, second = _setup()
-    learned = estimate_ground([first]).to_model()
-    true, own = score(second, model), score(second, learned)
+    _, model, _, second = _setup(2)
+    true, own = score(second, model), score(second, _learned())
     for one, two in zip(true.joints, own.joints, strict=True):
         # at the accelerations' frequencies the encoders add to the noise of the torques, at the readings' they do not
         assert one.sigmas < 2.5, one
@@ -105,7 +113,7 @@ def test_a_wrong_model_is_seen_at_its_joint() -> None:
     assert score(first, wrong).joints[2].share > 5.0 * score(first, model).joints[2].share
 
 
-@pytest.mark.slow(but=["more2-*"])
+@pytest.mark.slow(but=["more0-*"])
 @pytest.mark.parametrize(
     ("more", "key", "place", "size"),
     [
@@ -115,7 +123,7 @@ def test_a_wrong_model_is_seen_at_its_joint() -> None:
     ],
 )
 def test_nuisances_of_real_drives_are_found(more: dict[str, float], key: str, place: slice, size: float) -> None:
-    arm, model, *_ = _setup()
+    arm, model, *_ = _setup(3 if key == "torque_gain" else 2)
     run = recorded(arm, model, path=3, seed=0, seconds=20.0, offset=0.01, more=more)
     kinds = [CATALOGUE[one] for one in ("motor_coulomb", "motor_viscous")]
     asked = friction(arm, [CATALOGUE[key]])
@@ -129,7 +137,7 @@ def test_nuisances_of_real_drives_are_found(more: dict[str, float], key: str, pl
 
 
 def test_currents_give_ratios_only_and_say_so() -> None:
-    arm, model, *_ = _setup()
+    arm, model, *_ = _setup(2)
     amperes = replace(arm, torque_unit="A")
     run = recorded(arm, model, path=3, seed=0, seconds=20.0, more={"gain": 0.2})
     found = estimate_ground([replace(run, arm=amperes)])
@@ -141,9 +149,9 @@ def test_currents_give_ratios_only_and_say_so() -> None:
 
 def test_friction_that_comes_out_negative_by_noise_can_be_read_back(tmp_path: Path) -> None:
     """Of an arm without friction: its model is a file that every command reads."""
-    arm, model = short_arm()
+    arm, model = short_arm(2)
     bare = replace(model, effects=())
-    found = estimate_ground([recorded(arm, bare, path=0, seed=0)])
+    found = estimate_ground([recorded(arm, bare, path=0, seed=0, seconds=8.0)])
     friction = [value for name, value in zip(found.names, found.solution.value, strict=True) if "coulomb" in name]
     assert min(friction) < 0.0
     assert found.validity != "doubtful"
@@ -170,10 +178,10 @@ def test_a_payload_is_weighed() -> None:
 def test_friction_is_averaged_as_the_torques_of_a_faster_recording() -> None:
     """A reversal falls somewhere into its period: a mean torque has seen it there, and the sign of a rate at the
     instants has not. Without noise, what the values have wrong becomes a third."""
-    arm, model, *_ = _setup()
+    arm, model, *_ = _setup(2)
     finer = 10
     fast = replace(arm, period_s=arm.period_s / finer)
-    q, tau = torque_of(fast, model, path=0, seconds=12.0)
+    q, tau = torque_of(fast, model, path=0, seconds=8.0)
     at = np.arange(finer, len(q) - finer, finer)
     weight = np.ones(finer + 1)
     weight[[0, -1]] = 0.5
@@ -208,6 +216,7 @@ def test_the_interval_of_a_payload_holds_the_uncertainty_of_the_model() -> None:
     assert held / count > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / 16), (held, count)  # values of one seed are correlated
 
 
+@pytest.mark.slow(but=["torque_gain*"])
 @pytest.mark.parametrize(("key", "value"), [("torque_gain", 0.2), ("load_friction", 0.1)])
 def test_a_payload_beside_a_wrong_gain_or_friction_with_the_load(key: str, value: float) -> None:
     """What the model says of the torques holds with the payload, too."""
@@ -228,8 +237,8 @@ def test_a_payload_beside_a_wrong_gain_or_friction_with_the_load(key: str, value
 
 
 def test_correlations_are_read_back(tmp_path: Path) -> None:
-    _, _, first, _ = _setup()
-    learned = estimate_ground([first]).to_model()
+    _, _, first, _ = _setup(2)
+    learned = _learned()
     save_model(learned, tmp_path / "model.toml")
     again = load_model(tmp_path / "model.toml")
     assert again == learned
@@ -259,7 +268,7 @@ def test_correlations_that_cannot_be_are_refused(tmp_path: Path, line: str, said
 
 def test_the_noise_of_a_torque_that_is_not_declared_is_seen() -> None:
     """In frames it has the error of their steps; a table of exact torques has next to none."""
-    arm, _, first, _ = _setup()
+    arm, _, first, _ = _setup(2)
     silent = replace(arm, joints=tuple(replace(joint, torque_sigma=0.0) for joint in arm.joints))
     declared = np.array([joint.torque_sigma for joint in arm.joints])
     table = replace(first.cycles, tau=first.cycles.tau + 3e-6)  # off the steps of the frames
@@ -284,28 +293,25 @@ def test_no_payload_is_no_payload() -> None:
 
 
 def test_what_is_no_noise_is_named() -> None:
-    arm, model, *_ = _setup()
-    run = recorded(arm, model, path=3, seed=0, seconds=16.0, more={"load": 0.3})
+    arm, model, *_ = _setup(2)
+    run = recorded(arm, model, path=3, seed=0, seconds=10.0, more={"load": 0.3})
     found = estimate_ground([run])
     assert found.validity == "partial"
     assert "not noise" in found.reason
     assert found.remedy
+    assert found.elsewhere is None, "another law of friction is no other gravity"
 
 
+@pytest.mark.slow(but=["gravity1"])
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, 0.0, 0.0)])
 def test_gravity_that_points_elsewhere_is_named(gravity: tuple[float, float, float]) -> None:
-    arm, _, first, _ = _setup()
+    arm, model, *_ = _setup()
     assert arm.gravity == (0.0, 0.0, -9.81)
-    found = estimate_ground([replace(first, arm=replace(arm, gravity=gravity))])
+    run = recorded(arm, model, seconds=8.0)
+    found = estimate_ground([replace(run, arm=replace(arm, gravity=gravity))])
     assert found.validity == "doubtful"
     assert "with gravity = [0.0, 0.0, -9.81]" in found.reason
     assert "gravity in the arm file" in found.remedy
-
-
-def test_another_law_of_friction_is_no_other_gravity() -> None:
-    arm, model, *_ = _setup()
-    found = estimate_ground([recorded(arm, model, path=3, seed=0, seconds=16.0, more={"load": 0.3})])
-    assert found.elsewhere is None
 
 
 def test_a_motion_at_rest_determines_little() -> None:

@@ -23,8 +23,8 @@ NOWHERE = Provenance("zygos estimate", "1.2.3", ())
 
 @cache
 def _found() -> tuple[GroundEstimate, Model]:
-    arm, model = short_arm()
-    runs = [recorded(arm, model, path=k, seed=k, seconds=10.0) for k in range(2)]
+    arm, model = short_arm(2)
+    runs = [recorded(arm, model, path=k, seed=k, seconds=8.0) for k in range(2)]
     return estimate_ground(runs, validate=[recorded(arm, model, path=2, seed=2, seconds=8.0)]), model
 
 

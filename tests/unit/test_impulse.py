@@ -105,7 +105,7 @@ def c_noise(arm: Arm, joint: int, effects: tuple[Effect, ...]) -> Floats:
 @pytest.mark.parametrize("latch_us", [0, 4000])
 @pytest.mark.parametrize("joint", [1, 2])
 def test_noise_entry_by_entry(joint: int, latch_us: int) -> None:
-    """Of 1e5 independent draws of one window; the columns that integrate are not counted."""
+    """Of 1e4 independent draws of one window; the columns that integrate are not counted."""
     arm = awkward(5, 3, "planar", (False, True, True), latch_us)
     effects = (effect("motor_viscous", "joint3"), effect("torque_lag", "joint2"), effect("motor_viscous", "joint2"))
     owed = impulse.impulse_noise(arm, joint, effects)
@@ -113,7 +113,7 @@ def test_noise_entry_by_entry(joint: int, latch_us: int) -> None:
     assert (np.abs(mine - owed) <= 1e-12 * np.sqrt(np.outer(np.diag(owed), np.diag(owed)))).all()
 
     # an arm at rest, whose readings are noise; instants a window apart share no sample
-    draws, points = 100_000, arm.smoother.points
+    draws, points = 10_000, arm.smoother.points
     count = draws * points + 2 * points
     rng = np.random.default_rng(joint)
     zero = np.zeros((count, arm.n))

@@ -43,7 +43,7 @@ def around(points: Floats) -> Floats:
 
 
 def test_one_ulp_over_fifty_radians() -> None:
-    angles = np.random.default_rng(1).uniform(-50.0, 50.0, 20_000)
+    angles = np.random.default_rng(1).uniform(-50.0, 50.0, 5_000)
     assert worst_ulp(angles) <= 1.0
 
 
@@ -59,7 +59,7 @@ def test_one_ulp_of_tiny_angles() -> None:
 
 def test_one_ulp_up_to_the_stated_range() -> None:
     rng = np.random.default_rng(3)
-    far = rng.uniform(-1e5, 1e5, 3000)
+    far = rng.uniform(-1e5, 1e5, 1000)
     quarters = np.round(rng.uniform(-6e4, 6e4, 300)) * (np.pi / 2)
     assert worst_ulp(np.concatenate([far, around(quarters), [1e5, -1e5]])) <= 1.0
 

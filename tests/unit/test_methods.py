@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from reference_support import Motion, make_arm, move, true_parameters
+from reference_support import Floats, Motion, make_arm, move, true_parameters
 
+from zygos import reference
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.paper.methods import Record, amc, de, eb, record_of
@@ -22,18 +22,22 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture(scope="module")
 def motion(arm: Arm) -> Motion:
-    return move(arm, 8.0)
+    return move(arm, 2.5)
 
 
 @pytest.fixture(scope="module")
-def from_rest(arm: Arm) -> Motion:
-    return move(arm, 8.0, momentum=0.0)
+def fine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Arm, Motion]:
+    """Samples fine enough for the springs' oscillation, of a motion that starts at rest."""
+    arm = make_arm(tmp_path_factory.mktemp("fine"), period=0.005)
+    return arm, move(arm, momentum=0.0)
 
 
-def relative(
-    arm: Arm, x: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def relative(arm: Arm, x: Floats) -> Floats:
     return np.abs(x / true_parameters(arm) - 1.0)
+
+
+def part(record: Record, instants: slice) -> Record:
+    return Record(record.q[:, instants], record.theta[:, instants], record.tau[:, instants], record.f0[:, instants])
 
 
 def noisy(record: Record, sigma: float, seeds: int) -> Record:
@@ -76,10 +80,10 @@ def test_momentum_collapses_under_noise(arm: Arm, motion: Motion) -> None:
         amc.estimate(arm, motion.record(), momentum_nms=0.0)
 
 
-def test_differential_equations_without_noise_and_with(tmp_path: Path) -> None:
+def test_differential_equations_without_noise_and_with(fine: tuple[Arm, Motion]) -> None:
     """Fine samples give the parameters to a few percent; noise attenuates them by most of their size."""
-    arm = make_arm(tmp_path, period=0.005)
-    record = move(arm, 4.0).record(exact=False)
+    arm, motion = fine
+    record = motion.record(exact=False)
     assert np.max(relative(arm, de.estimate(arm, record)[0])) < 0.03
     estimate = de.estimate(arm, noisy(record, 1e-3, 3))
     inertias = [i for i, name in enumerate(arm.parameter_names) if name[0] in "aI"]
@@ -87,10 +91,10 @@ def test_differential_equations_without_noise_and_with(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rates", ["midpoint", "savgol"])
-def test_energy_balance_with_estimated_rates(tmp_path: Path, rates: eb.Rates) -> None:
-    """Samples fine enough for the springs' oscillation, known start at rest. The weak dampers are seen worst."""
-    arm = make_arm(tmp_path, period=0.005)
-    record = move(arm, 4.0, momentum=0.0).record(exact=False)
+def test_energy_balance_with_estimated_rates(fine: tuple[Arm, Motion], rates: eb.Rates) -> None:
+    """The weak dampers are seen worst."""
+    arm, motion = fine
+    record = motion.record(exact=False)
     error = relative(arm, eb.estimate(arm, record, rates=rates)[0])
     assert np.median(error) < 2e-3
     assert np.max(error) < 0.12
@@ -105,12 +109,9 @@ def test_seeds_of_a_batch_are_independent(arm: Arm, motion: Motion) -> None:
         np.testing.assert_allclose(estimate(arm, batch)[1], estimate(arm, single)[0], rtol=1e-9, atol=1e-30)
 
 
-def test_the_smoothed_rows_are_those_of_the_reference(tmp_path: Path) -> None:
+def test_the_smoothed_rows_are_those_of_the_reference(fine: tuple[Arm, Motion]) -> None:
     """Differences of rows within an arc are the same, batch or room by room."""
-    from zygos import reference
-
-    arm = replace(make_arm(tmp_path, period=0.005), compensate_every=0)
-    motion = move(arm, 2.0)
+    arm, motion = replace(fine[0], compensate_every=0), fine[1]
     z, w = eb.regressor(arm, motion.record(exact=False), "savgol")
     chain = reference.chain(arm, motion.cycles()).balance
     first = chain.index[0] - 3
@@ -120,12 +121,11 @@ def test_the_smoothed_rows_are_those_of_the_reference(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("rates", "first"), [("midpoint", 0.5), ("savgol", 3.0)])
-def test_work_and_dissipation_count_from_the_start(tmp_path: Path, rates: eb.Rates, first: float) -> None:
+def test_work_and_dissipation_count_from_the_start(fine: tuple[Arm, Motion], rates: eb.Rates, first: float) -> None:
     """The first row carries what was done before it: in half a step, or in the half window of the smoother."""
-    arm = make_arm(tmp_path, period=0.002)
-    motion = move(arm, 0.6)
+    arm, motion = fine
     full = motion.record(exact=False)
-    record = Record(full.q[:, 100:], full.theta[:, 100:], full.tau[:, 100:], full.f0[:, 100:])
+    record = part(full, slice(100, None))
     z, w = eb.regressor(arm, record, rates)
     instants = first + np.arange(len(w[0]))
     for ours, exact in ((z[0, :, 8], motion.slip2[100:, 0]), (w[0], eb.work(arm, record)[0])):
@@ -135,10 +135,10 @@ def test_work_and_dissipation_count_from_the_start(tmp_path: Path, rates: eb.Rat
 
 def test_record_of_takes_the_first_segment(arm: Arm, motion: Motion) -> None:
     cycles = motion.cycles()
-    cycles.flags[200] = 1
+    cycles.flags[100] = 1
     record = record_of(arm, calibrate(arm, cycles))
-    assert record.q.shape == (1, 200, 2)
-    np.testing.assert_array_equal(record.f0[0], motion.f0[:200])
+    assert record.q.shape == (1, 100, 2)
+    np.testing.assert_array_equal(record.f0[0], motion.f0[:100])
     np.testing.assert_array_equal(record_of(arm, calibrate(arm, cycles), calibrate(arm, cycles)).q[1], record.q[0])
     with pytest.raises(ZygosError, match="differ in length"):
         record_of(arm, calibrate(arm, cycles), calibrate(arm, motion.cycles()))
@@ -156,8 +156,6 @@ def test_misuse_is_refused(arm: Arm, motion: Motion) -> None:
     with pytest.raises(ZygosError, match="shape"):
         replace(record, f0=record.f0[:, 1:])
     with pytest.raises(ZygosError, match="three samples"):
-        de.estimate(arm, Record(record.q[:, :2], record.theta[:, :2], record.tau[:, :2], record.f0[:, :2]))
+        de.estimate(arm, part(record, slice(2)))
     with pytest.raises(ZygosError, match="fill the smoother"):
-        eb.estimate(
-            arm, Record(record.q[:, :7], record.theta[:, :7], record.tau[:, :7], record.f0[:, :7]), rates="savgol"
-        )
+        eb.estimate(arm, part(record, slice(7)), rates="savgol")

@@ -138,12 +138,12 @@ def test_a_fixed_base_has_no_rows() -> None:
 
 @pytest.mark.parametrize(("kinetic", "flexible"), ARMS)
 def test_noise_entry_by_entry(kinetic: str, flexible: tuple[bool, ...]) -> None:
-    """Of 1e5 draws of the smoothed rates at one state: sensors' noise through the filter, without the angles'."""
+    """Of 3e4 draws of the smoothed rates at one state: sensors' noise through the filter, without the angles'."""
     arm = awkward(6, len(flexible), kinetic, flexible)
     cycles = wandering(arm, 60)
     _, instants, _ = smoothed(arm, cycles, 1000)
     owed = momentum.momentum_noise(arm, instants)[20]
-    draws, points, n = 100_000, arm.smoother.points, arm.n
+    draws, points, n = 30_000, arm.smoother.points, arm.n
     rng = np.random.default_rng(1)
     at = np.arange(points) - points // 2
     # value and slope of a least-squares polynomial, from numpy's own

@@ -420,8 +420,9 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     covariance *= np.outer(share, share)
     # blocks whose residuals add up are taken to be alike; what undeclared noise may hide is added to the diagonal
     covariance *= 1.0 + (len(blocks) - 1) * max(0.0, 1.0 - 1.0 / found.cluster)
-    # the noise of the torques: as at many places of each block, between whose ends the sums of rows change evenly
-    sums_of_rows, places_of = np.zeros(p), (np.arange(1000) + 0.5) / 1000.0
+    # the noise of the torques, all along each block, between whose ends the sums of rows change evenly: two places
+    # of Gauss are exact for the square of what is linear
+    sums_of_rows, places_of = np.zeros(p), 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
     for block in blocks:
         step = np.array(
             list(lib.zygos_accumulator_deviation(ffi.addressof(work, "accumulator"), ffi.addressof(block))[0:p])

@@ -7,11 +7,13 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from cli_support import run
 from numpy.typing import NDArray
+from paper_support import SEEDS, paper_run
 from runs_support import trajectory_of
 from scipy.integrate import solve_ivp
 
@@ -19,15 +21,14 @@ from conftest import PAPER
 from zygos.arm import Arm, load_arm
 from zygos.dynamics.equations import equations
 from zygos.errors import ZygosError
-from zygos.model.model import load_model
-from zygos.paper import printed, readings, response
+from zygos.model.model import Model, load_model
+from zygos.paper import printed, readings, response, tables
 from zygos.paper.methods import Record, de, eb, exact_record, noisy_states
 from zygos.paper.tables import flight_estimates, load_example, noisy_record
 from zygos.simulation.plant import Trajectory
-from zygos.simulation.scenario import load_scenario
+from zygos.simulation.scenario import Scenario, load_scenario
 
 Floats = NDArray[np.float64]
-SEEDS = 16
 
 
 @cache
@@ -36,12 +37,24 @@ def hardware() -> tuple[Arm, Floats]:
     return arm, load_model(PAPER / "model.toml").base_values(arm)
 
 
-@cache
-def moved(noise: bool) -> Trajectory:
-    arm, model, scenario = hardware()[0], load_model(PAPER / "model.toml"), load_scenario(PAPER / "scenario.toml")
-    if noise:
-        return trajectory_of(arm, model, scenario, seeds=range(SEEDS), noise=True, rtol=1e-9, atol=1e-11)
-    return trajectory_of(arm, model, scenario, seeds=[0], noise=False)
+def exact() -> Record:
+    model, scenario = load_model(PAPER / "model.toml"), load_scenario(PAPER / "scenario.toml")
+    return exact_record(simulated(hardware()[0], model, scenario, seeds=[0], noise=False))
+
+
+def simulated(arm: Arm, model: Model, scenario: Scenario, *, noise: bool, **options: Any) -> Trajectory:
+    """A run; one with noise at a tolerance that is fine enough for all comparisons here."""
+    tolerance = {"rtol": 1e-9, "atol": 1e-11} if noise else {}
+    return trajectory_of(arm, model, scenario, noise=noise, **(options | tolerance))
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs come from the cache, and the response to (50) takes a sixth of its time: 20 s."""
+    monkeypatch.setattr(tables, "simulate", simulated)
+    monkeypatch.setattr(readings, "simulate", simulated)
+    monkeypatch.setattr(response, "DURATION_S", response.DURATION_S / 6.0)
+    monkeypatch.setattr(tables, "INSTANTS_S", tuple(instant / 6.0 for instant in tables.INSTANTS_S))
 
 
 def errors(value: Floats) -> dict[str, Floats]:
@@ -108,7 +121,7 @@ def test_agreement() -> None:
 
 def test_the_equations_of_motion_fail_as_printed() -> None:
     """Signs all as in Table IV; b1 is printed as -143.8 %."""
-    found = errors(de.estimate(hardware()[0], noisy_record(hardware()[0], moved(True))))
+    found = errors(de.estimate(hardware()[0], noisy_record(hardware()[0], paper_run())))
     for name, error in printed.ERRORS["DE"].items():
         assert np.all(np.sign(found[name]) == np.sign(error)), name
     for name in ("a00", "a01", "a02", "a11", "a12", "a22"):
@@ -124,7 +137,7 @@ def test_the_equations_of_motion_fail_as_printed() -> None:
 
 def test_the_energy_balance_with_backward_differences() -> None:
     arm = hardware()[0]
-    found = errors(eb.estimate(arm, noisy_record(arm, moved(True))))
+    found = errors(eb.estimate(arm, noisy_record(arm, paper_run())))
     expect(np.mean(np.abs(list(found.values())), axis=0), 15.43, 0.13)
     expect(found["a00"], -23.24, 0.29)
     expect(found["b1"], 10.49, 0.27)
@@ -133,7 +146,7 @@ def test_the_energy_balance_with_backward_differences() -> None:
 def test_the_energy_balance_with_the_noise_of_32() -> None:
     """Independent noise on exact states: half the error of differences, and nearer to the printed sizes."""
     arm = hardware()[0]
-    found = errors(eb.estimate(arm, noisy_states(arm, exact_record(moved(False)), range(SEEDS)), rates="exact"))
+    found = errors(eb.estimate(arm, noisy_states(arm, exact(), range(SEEDS)), rates="exact"))
     size = np.mean(np.abs(list(found.values())), axis=0)
     expect(size, 8.17, 0.17)
     assert np.mean(np.abs(list(printed.ERRORS["EB"].values()))) < np.mean(size) < 11.0
@@ -142,19 +155,19 @@ def test_the_energy_balance_with_the_noise_of_32() -> None:
 def test_exact_data_leave_the_energy_at_the_start() -> None:
     """Sizes as in the column for exact data; they are those of T(0), and vanish where it is subtracted."""
     arm = hardware()[0]
-    exact = exact_record(moved(False))
-    left = np.abs(list(errors(eb.estimate(arm, exact, rates="exact")).values()))
+    record = exact()
+    left = np.abs(list(errors(eb.estimate(arm, record, rates="exact")).values()))
     shown = np.abs(list(printed.ERRORS["EB, exact data"].values()))
     assert 0.3 * np.mean(shown) < np.mean(left) < 3.0 * np.mean(shown)
     assert np.max(left) < 3.0 * np.max(shown)
-    without = np.abs(list(errors(eb.estimate(arm, exact, rates="exact", start="first")).values()))
+    without = np.abs(list(errors(eb.estimate(arm, record, rates="exact", start="first")).values()))
     assert np.max(without) < 1e-3 * np.mean(left)
-    assert np.max(np.abs(list(errors(de.estimate(arm, exact, exact=True)).values()))) < printed.ROUNDING
+    assert np.max(np.abs(list(errors(de.estimate(arm, record, exact=True)).values()))) < printed.ROUNDING
 
 
 def test_the_flight_chain_on_the_paper_s_own_motion() -> None:
     """From CAN frames: no bias that shows over the seeds, and a spread that is a hundredth of EB's error."""
-    found = errors(flight_estimates(hardware()[0], moved(True)))
+    found = errors(flight_estimates(hardware()[0], paper_run()))
     expect(np.mean(np.abs(list(found.values())), axis=0), 0.1765, 0.0132)
     rms = [math.sqrt(np.mean(each**2)) for each in found.values()]
     assert np.mean(rms) <= 0.30
@@ -167,8 +180,8 @@ def test_noise_of_32_has_the_printed_variances() -> None:
     arm = hardware()[0]
     n = 4000
     zero = np.zeros((1, n, 2))
-    exact = Record(zero, zero, zero, zero[..., 0], zero, zero, zero, zero, zero, zero[..., 0])
-    noisy = noisy_states(arm, exact, [0])
+    still = Record(zero, zero, zero, zero[..., 0], zero, zero, zero, zero, zero, zero[..., 0])
+    noisy = noisy_states(arm, still, [0])
     assert noisy.qd is not None and noisy.thetad is not None and noisy.qdd is not None and noisy.thetadd is not None
     kinds = [(noisy.q, 7.5e-7), (noisy.theta, 7.5e-7), (noisy.qd, 6e-4), (noisy.thetad, 6e-4)]
     kinds += [(noisy.qdd, 0.48), (noisy.thetadd, 0.48)]
@@ -177,16 +190,17 @@ def test_noise_of_32_has_the_printed_variances() -> None:
     columns = np.concatenate([values[0] for values, _ in kinds], axis=1)
     together = np.corrcoef(columns.T) - np.eye(columns.shape[1])
     assert np.max(np.abs(together)) <= 5.0 / math.sqrt(n)
-    np.testing.assert_array_equal(noisy_states(arm, exact, [1, 0]).q[1], noisy.q[0])
+    np.testing.assert_array_equal(noisy_states(arm, still, [1, 0]).q[1], noisy.q[0])
     with pytest.raises(ZygosError, match="no exact rates"):
-        noisy_states(arm, replace(exact, qdd=None), [0])
+        noisy_states(arm, replace(still, qdd=None), [0])
     with pytest.raises(ZygosError, match="no exact accelerations"):
-        de.estimate(arm, replace(exact, f0d=None), exact=True)
+        de.estimate(arm, replace(still, f0d=None), exact=True)
 
 
 # Figure 4
 
 
+@pytest.mark.usefixtures("short")
 def test_the_response_is_that_of_pinocchio_and_another_integrator() -> None:
     """Under (50), written out a second time."""
     arm, true = hardware()
@@ -206,25 +220,25 @@ def test_the_response_is_that_of_pinocchio_and_another_integrator() -> None:
 
     start = np.array([1.0 / whole, *np.zeros(8)])
     end = solve_ivp(rate, (0.0, 20.0), start, method="LSODA", rtol=1e-11, atol=1e-13).y[:, -1]
-    np.testing.assert_allclose(ours[400], end[1:3], atol=1e-7)
+    np.testing.assert_allclose(ours[-1], end[1:3], atol=1e-7)
 
 
 @pytest.mark.slow
 def test_copies_of_the_arm_stay_together_under_50() -> None:
     """So the responses differ by their parameters; and the paper's own do not beat a common error of 10 %."""
     arm, true = hardware()
-    exact = response.respond(arm, true, 1.0)
+    straight = response.respond(arm, true, 1.0)
     aside = response.respond(arm, true, 1.0, 1e-3)
-    assert np.max(np.abs(aside - exact)) < response.PARTING * 1e-3
+    assert np.max(np.abs(aside - straight)) < response.PARTING * 1e-3
     sets = {"printed": printed.eb_values(true, arm.parameter_names), "up": 1.1 * true, "down": 0.9 * true}
     rms = {
-        name: math.sqrt(np.mean(response.apart_percent(response.respond(arm, values, 1.0), exact) ** 2))
+        name: math.sqrt(np.mean(response.apart_percent(response.respond(arm, values, 1.0), straight) ** 2))
         for name, values in sets.items()
     }
     assert 0.5 < rms["printed"] / rms["up"] < 1.0
     assert rms["up"] < rms["down"]
-    flight = flight_estimates(arm, replace(moved(True), seeds=(0,)))[0]
-    ours = response.apart_percent(response.respond(arm, flight, 1.0), exact)
+    flight = flight_estimates(arm, replace(paper_run(), seeds=(0,)))[0]
+    ours = response.apart_percent(response.respond(arm, flight, 1.0), straight)
     assert math.sqrt(np.mean(ours**2)) < 0.1 * rms["printed"]
 
 
@@ -237,8 +251,9 @@ def test_apart_is_relative_to_the_largest_angle_so_far() -> None:
 # the command
 
 
+@pytest.mark.usefixtures("short")
 def test_paper_prints_what_the_paper_prints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("paper", "--seeds", 2, "--example", PAPER, "--json", tmp_path / "paper.json") == 0
+    assert run("paper", "--seeds", SEEDS, "--example", PAPER, "--json", tmp_path / "paper.json") == 0
     said = capsys.readouterr().out
     heads = {*printed.PARAMETERS, "shoulder", "elbow"}
     rows = [line for line in said.splitlines() if line.partition(" ")[0] in heads]
@@ -255,19 +270,19 @@ def test_paper_prints_what_the_paper_prints(tmp_path: Path, capsys: pytest.Captu
     assert all(len(joint) == len(figure["time_s"]) for each in figure["error_percent"].values() for joint in each)
 
 
+@pytest.mark.usefixtures("short")
 def test_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    short = replace(readings.READINGS[-1], scenario=lambda scenario: replace(scenario, duration_s=30.0))
     every = readings.READINGS
-    monkeypatch.setattr(readings, "READINGS", (short,))
+    monkeypatch.setattr(readings, "READINGS", every[-1:])
     out = tmp_path / "r.json"
-    assert run("paper", "--readings", "--seeds", 2, "--example", PAPER, "--json", out) == 0
+    assert run("paper", "--readings", "--seeds", SEEDS, "--example", PAPER, "--json", out) == 0
     said = capsys.readouterr().out
     assert "one row in ten" in said
     assert max(len(line) for line in said.splitlines() if line.startswith((" ", "printed", "one row"))) <= 80
     assert max(len(reading.description) for reading in every) <= len("servo: tau, not n tau")
     (found,) = json.loads(out.read_text())["readings"]
     assert found["DE"]["signs"] == 12
-    assert found["EB"]["error_percent"]["a00"] < -30.0
+    assert -20.0 < found["EB"]["error_percent"]["a00"] < -13.0  # all rows give -23 %
 
 
 def test_readings_of_another_arm_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,9 +26,9 @@ def energy_terms(trajectory: Trajectory) -> tuple[Floats, Floats]:
     return stored - stored[:, :1] + spent, work
 
 
-@pytest.mark.slow(but=["60.05-None-seeds0", "20.0-0.01-seeds2"])
+@pytest.mark.slow(only=["120.0-*"])
 @pytest.mark.parametrize(
-    ("duration", "period", "seeds"), [(60.05, None, range(3)), (300.0, None, [0]), (20.0, 0.01, [0])]
+    ("duration", "period", "seeds"), [(20.05, None, range(2)), (120.0, None, [0]), (7.0, 0.01, [0])]
 )
 def test_energy_and_momentum_close(duration: float, period: float | None, seeds: list[int]) -> None:
     """Work = change of energy + dissipation, and h = 1 Nms of itself, although its terms reach 1e5 Nms."""
@@ -39,8 +39,7 @@ def test_energy_and_momentum_close(duration: float, period: float | None, seeds:
     assert work.max() > 1e3
     assert np.abs(gained - work).max() < 1e-8 * np.abs(work).max()
     h = run.dynamics.momentum(run.q, run.omega0, run.qd, run.thetad)
-    tolerance = 1e-8 if duration < 100.0 else 1e-7
-    assert np.abs(h - 1.0).max() < tolerance
+    assert np.abs(h - 1.0).max() < (1e-8 if duration < 100.0 else 1e-7)
 
 
 def test_energy_and_momentum_close_for_seven_joints() -> None:
@@ -187,7 +186,7 @@ def test_late_latches_read_later_angles() -> None:
 
 def test_accelerations_are_the_slopes_after_sync() -> None:
     arm, model, scenario = lively()
-    run = simulate(arm, model, scenario, duration_s=2.0, period_s=0.001, noise=False)
+    run = simulate(arm, model, scenario, duration_s=0.4, period_s=0.001, noise=False)
     base, link, motor = run.accelerations()
     # over one period the torque is constant: a one-sided difference is off by half a period of jerk
     np.testing.assert_allclose(np.diff(run.omega0, axis=1) / 0.001, base[:, :-1], atol=2e-3)
@@ -217,18 +216,11 @@ def test_start() -> None:
     assert run.dynamics.momentum(run.q, run.omega0, run.qd, run.thetad)[0, 0] == pytest.approx(1.0, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"duration_s": 0.05}, "cannot be simulated"),
-        ({"seeds": []}, "cannot be simulated"),
-        ({"period_s": -1.0}, "period"),
-    ],
-)
-def test_misuse_is_refused(change: dict[str, object], message: str) -> None:
-    arm, model, scenario = lively()
-    with pytest.raises(ZygosError, match=f"{message}.*remedy"):
-        simulate(arm, model, scenario, **change)  # type: ignore[arg-type]
+def test_misuse_is_refused() -> None:
+    unfit = "cannot be simulated"
+    for change, message in (({"duration_s": 0.05}, unfit), ({"seeds": []}, unfit), ({"period_s": -1.0}, "period")):
+        with pytest.raises(ZygosError, match=f"{message}.*remedy"):
+            simulate(*lively(), **change)  # type: ignore[arg-type]
 
 
 def test_a_model_too_stiff_to_integrate_is_refused() -> None:
@@ -245,7 +237,7 @@ def test_unfit_scenarios_are_refused() -> None:
     unfit: list[tuple[Scenario, str]] = [
         (replace(scenario, manoeuvre={"shoulder": Motion()}), "manoeuvre has joints"),
         (replace(scenario, initial_angles_rad=(0.0,)), "1 initial angles for 2 joints"),
-        (replace(scenario, controller=replace(scenario.controller, angle="link", gain=50.0)), "diverges"),
+        (replace(scenario, controller=replace(scenario.controller, angle="link", gain=1e4)), "diverges"),
     ]
     for wrong, message in unfit:
         with pytest.raises(ZygosError, match=f"{message}.*remedy"):

@@ -7,25 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_support import run
+from plant_support import LIVELY, example, lively
 from scipy.spatial.transform import Rotation
 
-from zygos.arm import NO_IMU, Arm, load_arm
-from zygos.cli import main
+from zygos.arm import NO_IMU, Arm
 from zygos.dynamics.equations import EngineName
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import ZygosError
-from zygos.model.model import JointModel, Model, Quantity, load_model
+from zygos.model.model import JointModel, Model, Quantity
 from zygos.simulation.plant import Trajectory, simulate
-from zygos.simulation.scenario import Scenario, load_scenario
+from zygos.simulation.scenario import Scenario
 
-SPATIAL = Path(__file__).parents[2] / "examples" / "spatial"
-LIVELY = SPATIAL.parent / "lively"
-DURATION_S = 1.0
-
-
-def example() -> tuple[Arm, Model, Scenario]:
-    return load_arm(SPATIAL / "arm.toml"), load_model(SPATIAL / "model.toml"), load_scenario(SPATIAL / "scenario.toml")
+SPATIAL = LIVELY.parent / "spatial"
 
 
 def rigid(arm: Arm, model: Model, which: tuple[int, ...]) -> tuple[Arm, Model]:
@@ -41,9 +36,10 @@ def grounded(arm: Arm) -> Arm:
     return replace(arm, base="fixed", imu=NO_IMU, gravity=(0.0, 1.0, -9.7))
 
 
-def run(arm: Arm, model: Model, scenario: Scenario, engine: EngineName = "zygos") -> Trajectory:
-    arm = arm.at_period(0.01)
-    return simulate(arm, model, scenario, engine=engine, noise=False, duration_s=DURATION_S)
+def moved(
+    arm: Arm, model: Model, scenario: Scenario, engine: EngineName = "zygos", duration_s: float = 0.1
+) -> Trajectory:
+    return simulate(arm.at_period(0.01), model, scenario, engine=engine, noise=False, duration_s=duration_s)
 
 
 CASES = {
@@ -56,34 +52,34 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_energy_and_momentum_are_accounted_for(case: str) -> None:
-    arm, model, scenario = example()
+    arm, model, scenario = example("spatial")
     arm, model = CASES[case](arm, model)
-    moved = run(arm, model, scenario)
-    law = moved.dynamics
+    run = moved(arm, model, scenario, duration_s=0.5)
+    law = run.dynamics
     assert isinstance(law, SpatialDynamics)
-    q, theta, omega0, qd, thetad = moved.q[0], moved.theta[0], moved.omega0[0], moved.qd[0], moved.thetad[0]
+    q, theta, omega0, qd, thetad = run.q[0], run.theta[0], run.omega0[0], run.qd[0], run.thetad[0]
     stored = law.kinetic_energy(q, omega0, qd, thetad) + law.elastic_energy(q, theta) + law.gravity_energy(q)
-    work = np.sum(arm.gear_ratios * moved.tau[0, :-1] * np.diff(theta, axis=0), axis=1)
-    lost = moved.slip2[0] @ np.where(law.rigid, 0.0, law.damping)
+    work = np.sum(arm.gear_ratios * run.tau[0, :-1] * np.diff(theta, axis=0), axis=1)
+    lost = run.slip2[0] @ np.where(law.rigid, 0.0, law.damping)
     balance = stored - stored[0] + lost - lost[0]
     np.testing.assert_allclose(balance[1:], np.cumsum(work), atol=1e-9 * np.abs(stored).max())
     np.testing.assert_allclose(theta[:, law.rigid], q[:, law.rigid], atol=1e-12)
     if arm.free:
-        turned = Rotation.from_quat(moved.attitude[0])
+        turned = Rotation.from_quat(run.attitude[0])
         h = turned.apply(law.momentum(q, omega0, qd, thetad))
         np.testing.assert_allclose(h, np.broadcast_to(scenario.angular_momentum_nms, h.shape), atol=1e-8)
         assert np.abs(omega0).max() > 0.01
     else:
         assert not omega0.any()
-        assert moved.attitude.shape[-1] == 0
+        assert run.attitude.shape[-1] == 0
 
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("engine", ["pinocchio", "mujoco"])
 def test_engines_by_others_move_alike(engine: EngineName, case: str) -> None:
-    arm, model, scenario = example()
+    arm, model, scenario = example("spatial")
     arm, model = CASES[case](arm, model)
-    ours, theirs = run(arm, model, scenario), run(arm, model, scenario, engine)
+    ours, theirs = moved(arm, model, scenario), moved(arm, model, scenario, engine)
     for name in ("q", "theta", "omega0", "qd", "tau", "attitude"):
         np.testing.assert_allclose(getattr(theirs, name), getattr(ours, name), atol=1e-8, err_msg=name)
     np.testing.assert_allclose(theirs.cycles().omega, ours.cycles().omega, atol=1e-8)
@@ -91,10 +87,9 @@ def test_engines_by_others_move_alike(engine: EngineName, case: str) -> None:
 
 def test_a_planar_arm_moves_alike_in_space() -> None:
     """The planar equations against Pinocchio's, whose base is free to leave the plane."""
-    arm, model, scenario = load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), None
-    scenario = load_scenario(LIVELY / "scenario.toml")
-    ours = simulate(arm, model, scenario, noise=False, duration_s=3.0)
-    theirs = simulate(arm, model, scenario, engine="pinocchio", noise=False, duration_s=3.0)
+    arm, model, scenario = lively()
+    ours = simulate(arm, model, scenario, noise=False, duration_s=2.0)
+    theirs = simulate(arm, model, scenario, engine="pinocchio", noise=False, duration_s=2.0)
     assert isinstance(ours.dynamics, PlanarDynamics)
     np.testing.assert_allclose(theirs.q, ours.q, atol=1e-8)
     np.testing.assert_allclose(theirs.omega0, ours.omega0[..., None] * arm.axis, atol=1e-8)
@@ -102,9 +97,9 @@ def test_a_planar_arm_moves_alike_in_space() -> None:
 
 
 def test_late_latches_in_space() -> None:
-    arm, model, scenario = example()
+    arm, model, scenario = example("spatial")
     late = replace(arm, imu=replace(arm.imu, latch_us=1500))
-    exact, read = run(arm, model, scenario), run(late, model, scenario)
+    exact, read = moved(arm, model, scenario), moved(late, model, scenario)
     np.testing.assert_allclose(read.omega0, exact.omega0, atol=1e-9)
     base = exact.accelerations()[0]
     np.testing.assert_allclose(
@@ -118,7 +113,7 @@ def test_reduced_equations_hold_on_a_spatial_arm() -> None:
     Lagrange's equations of T(q, qd, thetad; h) with the base rate that belongs to h, differentiated numerically, and h
     turning with the base: h' = -omega_0 x h in base axes.
     """
-    arm, model, _ = example()
+    arm, model, _ = example("spatial")
     law = SpatialDynamics.from_model(arm, model)
     rng = np.random.default_rng(3)
     n = arm.n
@@ -155,26 +150,21 @@ def test_reduced_equations_hold_on_a_spatial_arm() -> None:
 
 
 def test_what_is_refused() -> None:
-    arm, model, scenario = example()
+    arm, model, scenario = example("spatial")
     with pytest.raises(ZygosError, match=r"2 kp for 3 joints; remedy: give one number, or one for each joint"):
-        run(arm, model, replace(scenario, controller=replace(scenario.controller, kp=(1.0, 2.0))))
-    planar = load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), load_scenario(LIVELY / "scenario.toml")
+        moved(arm, model, replace(scenario, controller=replace(scenario.controller, kp=(1.0, 2.0))))
+    planar = lively()
     with pytest.raises(ZygosError, match=r"angular_momentum_nms is a vector, but arm lively moves in a plane"):
         simulate(*planar[:2], replace(planar[2], angular_momentum_nms=(0.0, 0.0, 1.0)), duration_s=1.0)
     parameters = Model("learned", parameters=model.base_parameters(arm))
     with pytest.raises(ZygosError, match=r"engine pinocchio needs bodies"):
-        run(arm, parameters, scenario, "pinocchio")
+        moved(arm, parameters, scenario, "pinocchio")
 
 
 def test_engines_and_arms_that_commands_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def run_command(*arguments: object) -> int:
-        with pytest.raises(SystemExit) as end:
-            main([str(argument) for argument in arguments])
-        return int(end.value.code or 0)
-
     out = tmp_path / "run.blf"
-    assert run_command("simulate", SPATIAL / "scenario.toml", "--engine", "ode", "-o", out) == 2
+    assert run("simulate", SPATIAL / "scenario.toml", "--engine", "ode", "-o", out) == 2
     assert "there is no engine 'ode'; remedy: use one of zygos, pinocchio, mujoco" in capsys.readouterr().err
     assert not out.exists()
-    assert run_command("paper", "--seeds", 2, "--example", SPATIAL) == 2
+    assert run("paper", "--seeds", 2, "--example", SPATIAL) == 2
     assert "the paper's methods need a free-floating arm that moves in a plane" in capsys.readouterr().err

@@ -83,7 +83,7 @@ def test_scatter_is_unbiased_where_few_blocks_have_the_information() -> None:
     """Leaving out alone overstates it, the pull alone understates it; the product does neither."""
     rng = np.random.default_rng(5)
     z = rng.normal(size=(8, 2)) * np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 4.0])[:, None]
-    trials = rng.normal(size=(3000, 8))
+    trials = rng.normal(size=(1000, 8))
     told = [scatter(z, w, np.eye(8)).covariance for w in trials]
     expected = np.linalg.inv(z.T @ z)
     error = np.std(told, axis=0) / np.sqrt(len(told))
@@ -95,14 +95,14 @@ def test_scatter_is_honest_where_neighbours_share_noise() -> None:
     """Noise constant over ten rows: sigmas from long blocks match the spread of repeated trials, from rows do not."""
     rng = np.random.default_rng(3)
     z = np.repeat(rng.normal(size=(60, 2)), 10, axis=0)
-    trials = np.repeat(rng.normal(size=(400, 60)), 10, axis=1)
+    trials = np.repeat(rng.normal(size=(200, 60)), 10, axis=1)
     spread = np.std([solve(Rows.exact(z, w)).x for w in trials], axis=0)
 
     def sigma(told: Scatter) -> Floats:
         return np.sqrt(np.diag(told.covariance))
 
-    long = np.mean([sigma(scatter(z, w, blocks_of(600, 30))) for w in trials[:40]], axis=0)
-    single = np.mean([sigma(scatter(z, w, blocks_of(600, 300))) for w in trials[:10]], axis=0)
+    long = np.mean([sigma(scatter(z, w, blocks_of(600, 30))) for w in trials[:20]], axis=0)
+    single = np.mean([sigma(scatter(z, w, blocks_of(600, 300))) for w in trials[:5]], axis=0)
     np.testing.assert_allclose(long, spread, rtol=0.15)
     assert np.all(single < 0.8 * spread)
 

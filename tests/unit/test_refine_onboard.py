@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from arm_support import arm_of_known_lengths, random_arm
 from numpy.typing import NDArray
-from refine_support import Case, drawing, flown, learned, plant, selected
+from refine_support import Case, drawing, flown, learned, plant, scenario_of, selected
 from scipy.linalg import expm
 
-from conftest import ROOT
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.native.flight import Flight, config_of, cycles_to_native, ffi, lib, text_of
@@ -20,7 +19,6 @@ from zygos.native.refiner import Refiner, Settings
 from zygos.refinement.bound import bound
 from zygos.refinement.inertia import inertia_errors
 from zygos.runs.cycles import Cycles
-from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
 STEPS_LEVEL = 30.0
@@ -214,7 +212,7 @@ def test_a_start_that_is_off_beside_torques_noisier_than_declared_does_no_harm(s
     """Three joints in space: the values of a model that are 4.3 % off, and a noise of 0.5 % that nobody declared. Some
     windows look right by chance; no value is published that is off by more than 5 sigmas and 0.5 %."""
     flying, case = Case("spatial", noise=0.005), Case("spatial", noise=0.005, declared=0.0)
-    cycles = flown(flying, seed, 80.0)
+    cycles = selected(flown(flying, seed), slice(0, 40_000))
     truth = plant("spatial").base_values(case.arm)
     prior = truth * (1.0 + 0.043 * np.random.default_rng(seed).standard_normal(len(truth)))
     flight, task = Flight(case.arm), OnboardRefiner(case.arm, Onboard(every=1, terms=6))
@@ -245,6 +243,7 @@ def test_published_values_are_better_than_the_estimate() -> None:
     assert 10.0 * ours < theirs
 
 
+@pytest.mark.slow(but=["0"])
 @pytest.mark.parametrize("seed", range(2))
 def test_encoders_that_are_mounted_to_a_step_do_no_harm(seed: int) -> None:
     """Zeros that are off by up to half of a step, of which the arm file says nothing: the values are published, and
@@ -262,7 +261,7 @@ def test_encoders_that_are_mounted_to_a_step_do_no_harm(seed: int) -> None:
 def test_errors_are_within_the_bound_and_what_is_stated() -> None:
     """12 runs: errors at most 1.3 times the bound, and 95 % intervals that hold."""
     case = Case()
-    scenario = replace(load_scenario(ROOT / "examples" / "paper" / "scenario.toml"), duration_s=60.0)
+    scenario = replace(scenario_of("paper"), duration_s=60.0)
     (best,) = bound(case.arm, plant("paper"), scenario, [case.noise])
     truth = plant("paper").base_values(case.arm)
     errors, shares, published = [], [], 0
@@ -541,7 +540,7 @@ def test_readings_may_be_used_every_second_cycle_also_over_gaps() -> None:
 def test_an_arm_in_space_begins_with_its_reduced_parameters() -> None:
     """Sizes of combinations of entries of the inertia matrix are those of the entries."""
     case = Case("spatial", noise=0.005)
-    cycles, truth = flown(case, 0, 2.0), plant("spatial").base_values(case.arm)
+    cycles, truth = flown(case, 0, 0.6), plant("spatial").base_values(case.arm)
     task = begun_with(case.arm, truth, Onboard(every=1))
     size = sizes_of(task)
     assert len(size) == len(truth) and (size >= 0.999999 * np.abs(truth)).all() and (size < 1e6).all()
@@ -792,7 +791,8 @@ def test_the_level_has_bounds(level: float, bound: float) -> None:
 def test_the_level_moves_towards_the_noise_of_the_torques() -> None:
     """In a few windows, long before it is there: up where torques are noisier than declared, down where less."""
     levels = []
-    for case in (Case(noise=0.02, declared=0.005), Case(noise=0.005, declared=0.02)):
+    for declared in (0.0025, 0.01):
+        case = Case(declared=declared)
         flight, rest = learned(case.arm, flown(case, 0))
         task = OnboardRefiner(case.arm, Onboard(window=20))
         task.start(flight)

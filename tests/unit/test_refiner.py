@@ -10,6 +10,7 @@ import pytest
 from arm_support import random_arm
 from numpy.typing import NDArray
 from plant_support import lively
+from refine_support import Case, moved, sensed
 from runs_support import trajectory_of
 from scipy.linalg import block_diag
 
@@ -21,6 +22,7 @@ from zygos.native.refiner import Refiner, Settings
 from zygos.refinement.bound import bound
 from zygos.refinement.filter import FilterNoise, NumpyFilter
 from zygos.refinement.motion import FlexibleMotion
+from zygos.runs.cycles import Cycles
 from zygos.simulation.scenario import Controller, Motion, Scenario, Sine
 
 Floats = NDArray[np.float64]
@@ -28,11 +30,18 @@ Floats = NDArray[np.float64]
 RELATIVE = 0.005
 
 
-def readings(arm: Arm, model: Model, scenario: Scenario, seed: int = 0) -> tuple[Floats, ...]:
-    """Angles (n, N) twice, torques (n, N) with noise, and rates (n, 3) of the base in its axes, of a simulated run."""
-    noisy = replace(arm, joints=tuple(replace(joint, torque_relative_sigma=RELATIVE) for joint in arm.joints))
-    run = trajectory_of(noisy, model, scenario, seeds=[seed], rtol=1e-9, atol=1e-11).cycles()
-    return run.q, run.theta, run.tau, run.omega @ arm.mount.T
+SECONDS = 16.0
+
+
+def lively_readings(duration_s: float = SECONDS, seed: int = 0) -> tuple[Floats, ...]:
+    """Angles (n, N) twice, torques (n, N) with noise, and rates (n, 3) of the base in its axes, of examples/lively."""
+    case = Case("lively", RELATIVE)
+    cycles = sensed(case, seed, moved("lively", (), SECONDS))
+    return tuple(part[: round(duration_s / case.arm.period_s) + 1] for part in in_base_axes(case.arm, cycles))
+
+
+def in_base_axes(arm: Arm, cycles: Cycles) -> tuple[Floats, ...]:
+    return cycles.q, cycles.theta, cycles.tau, cycles.omega @ arm.mount.T
 
 
 def start(arm: Arm, model: Model, read: tuple[Floats, ...], seed: int) -> tuple[FlexibleMotion, Floats, Floats, Floats]:
@@ -73,8 +82,8 @@ def swinging(arm: Arm, duration_s: float) -> Scenario:
 
 
 def test_it_begins_with_the_correlations_of_the_parameters() -> None:
-    arm, model, scenario = lively()
-    motion, x, sigma, _ = start(arm, model, readings(arm, model, replace(scenario, duration_s=0.2)), 0)
+    arm, model, _ = lively()
+    motion, x, sigma, _ = start(arm, model, lively_readings(0.2), 0)
     p = len(motion.values)
     relative = np.random.default_rng(0).normal(size=(p, 2 * p))
     relative = 1e-6 * relative @ relative.T
@@ -90,7 +99,9 @@ def test_c_is_numpy(base: str, kinetic: str) -> None:
     arm = replace(arm, joints=tuple(replace(joint, latch_us=300) for joint in arm.joints))
     if base == "free":
         arm = replace(arm, imu=replace(arm.imu, bias_walk=1e-3))
-    read = readings(arm, model, swinging(arm, 40 * arm.period_s))
+    noisy = replace(arm, joints=tuple(replace(joint, torque_relative_sigma=RELATIVE) for joint in arm.joints))
+    run = trajectory_of(noisy, model, swinging(arm, 15 * arm.period_s), seeds=[0], rtol=1e-9, atol=1e-11)
+    read = in_base_axes(arm, run.cycles())
     motion, x, sigma, covariance = start(arm, model, read, 0)
     refiner = native(arm, motion, 2)
     refiner.start(x, sigma, covariance)
@@ -128,11 +139,10 @@ def test_c_is_numpy(base: str, kinetic: str) -> None:
 
 def test_errors_reach_the_bound_and_are_as_large_as_stated() -> None:
     arm, model, scenario = lively()
-    scenario = replace(scenario, duration_s=30.0)
-    (best,) = bound(arm, model, scenario, [RELATIVE])
+    (best,) = bound(arm, model, replace(scenario, duration_s=SECONDS), [RELATIVE])
     away = []
     for seed in range(3):
-        read = readings(arm, model, scenario, seed)
+        read = lively_readings(seed=seed)
         motion, x, sigma, covariance = start(arm, model, read, seed)
         refiner = native(arm, motion, 5)
         refiner.start(x, sigma, covariance)
@@ -152,9 +162,8 @@ def test_errors_reach_the_bound_and_are_as_large_as_stated() -> None:
 
 
 def test_friction_offsets_and_zeros_are_estimated() -> None:
-    arm, model, scenario = lively()
-    scenario = replace(scenario, duration_s=20.0)
-    q, theta, tau, omega = readings(arm, model, scenario)
+    arm, model, _ = lively()
+    q, theta, tau, omega = lively_readings()
     offset, zero = np.array([0.03, -0.02]), np.array([2e-3, -1e-3, 1e-3, 0.0])
     read = (q + zero[:2], theta + zero[2:], tau + offset, omega)
     motion, x, sigma, covariance = start(arm, model, read, 0)
@@ -177,8 +186,8 @@ def test_friction_offsets_and_zeros_are_estimated() -> None:
 
 def test_zeros_of_encoders_push_no_joint() -> None:
     """Without a reading that shows both, state and zeros stay independent."""
-    arm, model, scenario = lively()
-    read = readings(arm, model, replace(scenario, duration_s=1.0))
+    arm, model, _ = lively()
+    read = lively_readings(1.0)
     motion, x, sigma, covariance = start(arm, model, read, 0)
     refiner = native(arm, motion, 5, zeros=True)
     refiner.start(np.concatenate([x, np.zeros(4)]), np.concatenate([sigma, np.full(4, 3e-3)]), covariance)
@@ -190,8 +199,8 @@ def test_zeros_of_encoders_push_no_joint() -> None:
 
 
 def test_the_readings_favour_the_noise_that_the_torques_have() -> None:
-    arm, model, scenario = lively()
-    read = readings(arm, model, replace(scenario, duration_s=20.0))
+    arm, model, _ = lively()
+    read = lively_readings()
     motion, x, sigma, covariance = start(arm, model, read, 0)
     deviance = {}
     for level in (0.002, RELATIVE, 0.0125):
@@ -206,8 +215,8 @@ def test_the_readings_favour_the_noise_that_the_torques_have() -> None:
 
 
 def test_lost_torques_widen_the_estimate() -> None:
-    arm, model, scenario = lively()
-    read = readings(arm, model, replace(scenario, duration_s=1.0))
+    arm, model, _ = lively()
+    read = lively_readings(1.0)
     motion, x, sigma, covariance = start(arm, model, read, 0)
     spreads = []
     for lost in (0.0, 10.0):
@@ -223,9 +232,9 @@ def test_lost_torques_widen_the_estimate() -> None:
 
 def test_a_bias_that_is_known_exactly_stays_so() -> None:
     """It has no noise, so that its row of the root is zero."""
-    arm, model, scenario = lively()
+    arm, model, _ = lively()
     arm = replace(arm, imu=replace(arm.imu, bias_walk=0.0))
-    read = readings(arm, model, replace(scenario, duration_s=1.0))
+    read = lively_readings(1.0)
     motion, x, sigma, covariance = start(arm, model, read, 0)
     bias = motion.states
     refiner = native(arm, motion, 5)
@@ -238,8 +247,8 @@ def test_a_bias_that_is_known_exactly_stays_so() -> None:
 
 
 def test_what_the_filter_cannot_use_is_refused() -> None:
-    arm, model, scenario = lively()
-    read = readings(arm, model, replace(scenario, duration_s=1.0))
+    arm, model, _ = lively()
+    read = lively_readings(1.0)
     motion, x, sigma, covariance = start(arm, model, read, 0)
     refiner = native(arm, motion, 5)
     with pytest.raises(ZygosError, match="has left the possible arms; remedy"):

@@ -75,7 +75,15 @@ def test_the_style_stacks_what_the_script_labels() -> None:
 
 def test_a_page_holds_style_and_script(tmp_path: Path) -> None:
     data = {"times": {}, "charts": {}, "refused": []}
-    content = {"seeds": 2, "draws": 2, "estimators": [], "groups": [], "band": (0.92, 0.97), "refusals": 0.05}
+    content = {
+        "seeds": 2,
+        "draws": 2,
+        "commit": "abc",
+        "estimators": [],
+        "groups": [],
+        "band": (0.92, 0.97),
+        "refusals": 0.05,
+    }
     render(tmp_path / "a.html", "accuracy/page.html", data, **content, wild=(5, 2), figure=None)
     text = (tmp_path / "a.html").read_text()
     assert "dataset.label" in text

@@ -24,11 +24,11 @@ def at_rest(arm: Arm, first: int) -> Cycles:
     return Cycles(sync, table, table, table, np.zeros((CYCLES, 3)), np.zeros(CYCLES, dtype=np.uint32))
 
 
-@pytest.mark.parametrize(("lost", "stale"), [(0.0, 0.0), (1e-3, 0.0), (0.0, 1e-2), (0.02, 0.02), (0.2, 0.1)])
+@pytest.mark.parametrize(("lost", "stale"), [(0.0, 0.0), (0.0, 1e-2), (0.02, 0.02), (0.2, 0.1)])
 def test_the_book_counts_what_c_and_numpy_count(arm: Arm, lost: float, stale: float) -> None:
     rng, book, flight = np.random.default_rng(3), Book(2 * arm.n + 2), Flight(arm)
     arrived = []
-    for turn in range(4):
+    for turn in range(2):
         first = turn * (CYCLES + MISSING)
         frames = encode(arm, at_rest(arm, first))
         sent = disturbed(frames[:-1], first, lost, stale, rng)
@@ -47,7 +47,7 @@ def test_the_book_counts_what_c_and_numpy_count(arm: Arm, lost: float, stale: fl
 def test_the_book_after_a_snapshot(arm: Arm, tmp_path: Path) -> None:
     """The cycle that is open then is lost."""
     rng, book, flight = np.random.default_rng(4), Book(2 * arm.n + 2), Flight(arm)
-    for turn in range(6):
+    for turn in range(3):
         first = turn * (CYCLES + MISSING)
         frames = encode(arm, at_rest(arm, first))
         sent = disturbed(frames[:-1], first, 0.01 * (turn > 0), 0.01, rng)
@@ -61,4 +61,4 @@ def test_the_book_after_a_snapshot(arm: Arm, tmp_path: Path) -> None:
     book.end()
     assert +book.faults == +Counter(flight.faults)
     assert book.cycles == flight.counts["cycles"]
-    assert book.faults["sync_jumped"] >= 5
+    assert book.faults["sync_jumped"] >= 2

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 from arm_support import State as Sample
-from arm_support import random_arm, random_state
+from arm_support import random_arm
 from flight_support import balanced
+from motion_support import FLEXIBLE, sampled_arm
 from numpy.typing import NDArray
 from rows_support import awkward, wandering
 
@@ -22,30 +22,15 @@ from zygos.dynamics.engines import engine
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import ZygosError
 from zygos.model import gram
-from zygos.model.model import Model
 from zygos.native.flight import Estimate, Flight, config_of, ffi, lib
 from zygos.runs.cycles import Cycles
 
-FLEXIBLE: dict[str, Callable[[int], bool]] = {
-    "flexible": lambda _: True,
-    "rigid": lambda _: False,
-    "mixed": lambda i: i % 2 == 1,
-}
 ARMS = [
-    (joints, base, kinetic, kind)
-    for joints, base, kinetic, kind in product(
-        (1, 2, 3, 7), ("free", "fixed"), ("spatial", "planar", "planar-symmetric"), FLEXIBLE
-    )
+    case
+    for case in product((1, 3, 7), ("free", "fixed"), ("spatial", "planar", "planar-symmetric"), FLEXIBLE)
+    if case[0] < 7 or case[3] == "mixed"
 ]
 SPATIAL = [case for case in ARMS if case[1] == "fixed" or case[2] == "spatial"]
-STATES = 5
-
-
-def arm_of(joints: int, base: str, kinetic: str, kind: str) -> tuple[Arm, Model, list[Sample]]:
-    flexible = [FLEXIBLE[kind](i) for i in range(joints)]
-    arm, model = random_arm(joints, joints, base, kinetic, flexible)  # type: ignore[arg-type]
-    rng = np.random.default_rng(joints)
-    return arm, model, [random_state(rng, arm) for _ in range(STATES)]
 
 
 def state_of(arm: Arm, sample: Sample) -> State:
@@ -56,7 +41,7 @@ def state_of(arm: Arm, sample: Sample) -> State:
 @pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), ARMS)
 def test_columns_carry_the_energy_of_the_bodies(joints: int, base: str, kinetic: str, kind: str) -> None:
     """Columns times the parameters of the conversion are the kinetic energy, and the potential one up to a constant."""
-    arm, model, samples = arm_of(joints, base, kinetic, kind)
+    arm, model, samples = sampled_arm(joints, base, kinetic, kind)
     oracle = engine("pinocchio", arm, model)
     parameters = model.base_values(arm)
     names = np.array(arm.parameter_names)
@@ -74,11 +59,11 @@ def test_columns_carry_the_energy_of_the_bodies(joints: int, base: str, kinetic:
 
 
 @pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), SPATIAL)
-@pytest.mark.parametrize("name", ["pinocchio", "mujoco"])
-def test_accelerations_and_momentum(name: str, joints: int, base: str, kinetic: str, kind: str) -> None:
-    arm, model, samples = arm_of(joints, base, kinetic, kind)
-    oracle, ours = engine(name, arm, model), SpatialDynamics.from_model(arm, model)
-    for sample in samples:
+def test_accelerations_and_momentum(joints: int, base: str, kinetic: str, kind: str) -> None:
+    arm, model, samples = sampled_arm(joints, base, kinetic, kind)
+    ours = SpatialDynamics.from_model(arm, model)
+    oracles = [engine(name, arm, model) for name in ("pinocchio", "mujoco")]
+    for oracle, sample in product(oracles, samples):
         for got, wanted in zip(ours.accelerations(*sample), oracle.accelerations(*sample), strict=True):
             np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
         q, _, omega0, qd, thetad, _ = sample
@@ -96,7 +81,7 @@ def test_accelerations_and_momentum(name: str, joints: int, base: str, kinetic: 
 
 
 def test_a_batch_is_its_members() -> None:
-    arm, model, samples = arm_of(3, "free", "spatial", "mixed")
+    arm, model, samples = sampled_arm(3, "free", "spatial", "mixed")
     dynamics = SpatialDynamics.from_model(arm, model)
     stacked = Sample(*(np.stack(parts) for parts in zip(*samples, strict=True)))
     for k, part in enumerate(dynamics.accelerations(*stacked)):
@@ -106,7 +91,7 @@ def test_a_batch_is_its_members() -> None:
 
 @pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), ARMS)
 def test_c_columns_are_those_of_numpy(joints: int, base: str, kinetic: str, kind: str) -> None:
-    arm, _, samples = arm_of(joints, base, kinetic, kind)
+    arm, _, samples = sampled_arm(joints, base, kinetic, kind)
     config = config_of(arm)
     column_map, geometry = ffi.new("zygos_column_map_t *"), ffi.new("zygos_geometry_t *")
     lib.zygos_balance_column_map(config, column_map)
@@ -125,11 +110,11 @@ def test_c_columns_are_those_of_numpy(joints: int, base: str, kinetic: str, kind
         np.testing.assert_allclose(list(motion.carrier_rate)[:joints], carried, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("joints", [1, 2, 3, 7])
+@pytest.mark.parametrize("joints", [1, 3, 7])
 @pytest.mark.parametrize("kinetic", ["planar-symmetric", "planar"])
 def test_a_planar_arm_is_a_spatial_one_that_moves_in_its_plane(joints: int, kinetic: str) -> None:
     """The general kernel is the special one's oracle: merged columns of the Gram table, in C as well."""
-    arm, _, samples = arm_of(joints, "free", kinetic, "flexible")
+    arm, _, samples = sampled_arm(joints, "free", kinetic, "flexible")
     general = replace(arm, kinetic="spatial")
     names = [name for name, _ in general.body_parameters]
     for sample in samples:
@@ -146,11 +131,10 @@ def test_a_planar_arm_is_a_spatial_one_that_moves_in_its_plane(joints: int, kine
                     assert abs(value[f"b{i}{j}"]) == pytest.approx(0.5 * abs(skew), rel=1e-11, abs=1e-11)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_directions_across_an_axis(seed: int) -> None:
-    axis = np.random.default_rng(seed).normal(size=3)
-    axis /= np.linalg.norm(axis)
-    for one in (axis, np.eye(3)[seed % 3], -np.eye(3)[seed % 3]):
+def test_directions_across_an_axis() -> None:
+    axes = np.random.default_rng(0).normal(size=(20, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    for one in (*axes, *np.eye(3), *-np.eye(3)):
         pair = across(one)
         np.testing.assert_allclose(np.column_stack([pair, one]).T @ np.column_stack([pair, one]), np.eye(3), atol=1e-15)
         u, v = ffi.new("double[3]"), ffi.new("double[3]")
@@ -160,7 +144,7 @@ def test_directions_across_an_axis(seed: int) -> None:
     np.testing.assert_array_equal(across(np.array([0.0, 1.0, 0.0])), np.eye(3)[:, [2, 0]])
 
 
-@pytest.mark.parametrize("joints", [1, 2, 3, 7])
+@pytest.mark.parametrize("joints", [1, 3, 7])
 def test_every_column_of_a_free_arm_is_a_parameter(joints: int) -> None:
     """The (N+2)(2N+3) columns are independent, for any axes, and for consecutive axes that are parallel as well."""
     rng = np.random.default_rng(joints)
@@ -177,10 +161,10 @@ def test_every_column_of_a_free_arm_is_a_parameter(joints: int) -> None:
         assert np.linalg.svd(columns, compute_uv=False)[-1] > 1e-4
 
 
-@pytest.mark.parametrize("joints", [1, 2, 3, 7])
+@pytest.mark.parametrize("joints", [1, 3, 7])
 @pytest.mark.parametrize("base", ["free", "fixed"])
 def test_bodies_have_a_matrix_that_could_be_built(joints: int, base: str) -> None:
-    arm, model, _ = arm_of(joints, base, "spatial", "flexible")
+    arm, model, _ = sampled_arm(joints, base, "spatial", "flexible")
     values = model.base_values(arm)
     kinetic = values[: len(gram.pairs(arm)[0])]
     matrix = gram.from_parameters(arm, kinetic)
@@ -216,16 +200,15 @@ def estimate_of(arm: Arm, cycles: Cycles, bodies: NDArray[np.float64]) -> Estima
     return estimate
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_bodies_without_their_rotors_must_have_energy_in_every_motion(seed: int) -> None:
+def test_bodies_without_their_rotors_must_have_energy_in_every_motion() -> None:
     """A matrix of the bodies with one eigenvalue near zero, with the rotors on it: valid above zero, refused below."""
     arm = replace(awkward(8, 3, "spatial", (True, True, True)), impulse_arc_s=0.0, compensate_every=0)
-    cycles = wandering(arm, 2500)
+    cycles = wandering(arm, 1800)
     t = arm.period_s * np.arange(len(cycles))[:, None]
     common = 0.4 * np.sin([0.37, 0.83, 1.9] * t)
     cycles.theta[:] = cycles.q + common + 0.05 * np.sin([2.1, 3.3, 4.7] * t) + 0.03 * np.cos([1.2, 2.6, 3.9] * t)
     cycles.q[:] += common
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     size = gram.directions(arm)
     direction = rng.normal(size=size)
     direction /= np.linalg.norm(direction)
@@ -243,7 +226,7 @@ def test_of_two_directions_on_a_fixed_base_the_sum_must_have_energy(least: float
     """Only the sum of their squares is known, not each of them, nor what is between them."""
     arm, _ = random_arm(8, 3, "fixed")
     arm = replace(arm, gravity=(0.0, 0.0, 0.0), impulse_arc_s=0.0, compensate_every=0, period_s=0.02)
-    cycles = wandering(arm, 2500)
+    cycles = wandering(arm, 1800)
     t = arm.period_s * np.arange(len(cycles))[:, None]
     common = 0.4 * np.sin([0.37, 0.83, 1.9] * t)
     cycles.q[:] += common

@@ -221,7 +221,7 @@ def test_groups_are_readable() -> None:
 # ------------------------------------------------------------------------------------------ predictions
 
 
-@pytest.mark.parametrize("name", ["UR10e", "Panda", "PUMA560", "general 6R, tilted", "SCARA3R", "planar2v"])
+@pytest.mark.parametrize("name", ["UR10e", "general 6R, tilted", "SCARA3R"])
 @pytest.mark.parametrize(
     "settings",
     [{}, {"flexible": True}, {"ratio": 1.0}, {"torque_at": "joint"}, {"lengths": False}, {"base": "free"}],
@@ -230,9 +230,7 @@ def test_groups_are_readable() -> None:
 def test_the_reduction_changes_no_prediction(name: str, settings: dict[str, Any]) -> None:
     """Accelerations and energy of Pinocchio, which has the bodies themselves."""
     joints = frames_of(name)
-    kinds: list[Any] = (
-        ["spatial"] if name not in ("planar2v", "SCARA3R") or "base" in settings else ["spatial", "planar"]
-    )
+    kinds: list[Any] = ["spatial", "planar"] if name == "SCARA3R" and "base" not in settings else ["spatial"]
     for kinetic in kinds:
         arm = arm_of(joints, kinetic=kinetic, **settings)
         model = bodies_of(arm, joints)
@@ -316,24 +314,23 @@ def test_the_noise_of_rows_is_reduced_with_them() -> None:
 
 @pytest.mark.parametrize("name", COUNTS)
 def test_the_choice_is_that_of_no_random_number(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    joints = frames_of(name)
-    first = arm_of(joints).structure
-    for seed in range(3):
-        drawn = np.random.default_rng(100 + seed)
-        monkeypatch.setattr(module.np.random, "default_rng", lambda _, drawn=drawn: drawn)
-        other = arm_of(joints).structure
-        assert other.parameters == first.parameters
-        np.testing.assert_array_equal(other.basis, first.basis)
-        np.testing.assert_allclose(other.groups, first.groups, atol=1e-9 * np.abs(first.groups).max())
-        assert other.grouping == first.grouping
+    arm = arm_of(frames_of(name))
+    first, drawn = arm.structure, np.random.default_rng(100)
+    monkeypatch.setattr(module.np.random, "default_rng", lambda _: drawn)
+    other = replace(arm).structure
+    assert other.parameters == first.parameters
+    np.testing.assert_array_equal(other.basis, first.basis)
+    np.testing.assert_allclose(other.groups, first.groups, atol=1e-9 * np.abs(first.groups).max())
+    assert other.grouping == first.grouping
 
 
-@pytest.mark.parametrize("digits", [5, 6, 7, 8, 9])
-def test_angles_of_few_digits_are_taken_as_meant(digits: int) -> None:
+@pytest.mark.parametrize("lengths", [True, False])
+def test_angles_of_few_digits_are_taken_as_meant(lengths: bool) -> None:
     exact = frames_of("Panda")
-    rounded = [one | {"rpy": [round(angle, digits) for angle in one["rpy"]]} for one in exact]
-    for lengths in (True, False):
-        found, known = (arm_of(joints, lengths=lengths).structure for joints in (rounded, exact))
+    known = arm_of(exact, lengths=lengths).structure
+    for digits in (5, 7, 9):
+        rounded = [one | {"rpy": [round(angle, digits) for angle in one["rpy"]]} for one in exact]
+        found = arm_of(rounded, lengths=lengths).structure
         assert found.parameters == known.parameters
         assert found.grouping == known.grouping  # no small terms from digits that are missing
 
@@ -370,9 +367,8 @@ def test_a_geometry_that_leaves_the_number_open_is_refused() -> None:
 
 def test_seven_joints_take_less_than_a_third_of_a_second() -> None:
     joints = frames_of("general 7R")
-    arms: list[dict[str, Any]] = [{}, {"flexible": True}, {"base": "free", "flexible": True}]
-    for settings in arms:
-        arm = arm_of(joints, **settings)
+    settings: list[dict[str, Any]] = [{}, {"flexible": True}, {"base": "free", "flexible": True}]
+    for arm in (replace(arm_of(joints, **one)) for one in settings):
         begun = time.process_time()
         assert arm.parameters
         assert time.process_time() - begun < 0.3
@@ -383,7 +379,7 @@ def test_seven_joints_take_less_than_a_third_of_a_second() -> None:
 
 @pytest.mark.parametrize("settings", [{}, {"flexible": True}, {"torque_at": "joint"}])
 def test_base_parameters_are_a_model_like_bodies(settings: dict[str, Any]) -> None:
-    joints = frames_of("UR10e")
+    joints = frames_of("UR10e")[:4]
     arm = arm_of(joints, **settings)
     model = bodies_of(arm, joints)
     named = Model("named", parameters=model.base_parameters(arm))
@@ -419,15 +415,13 @@ def test_a_model_with_other_lengths_is_refused() -> None:
 @pytest.mark.parametrize(
     ("name", "kinetic", "flexible"),
     [
-        ("planar2v", "planar", False),
-        ("planar2v", "spatial", True),
-        ("SCARA3R", "planar", True),
+        ("planar2v", "planar", True),
         ("UR10e", "spatial", False),
     ],
 )
 def test_bodies_come_back_from_base_parameters(name: str, kinetic: Any, flexible: bool) -> None:
     """By `nearest_bodies`, and by `fit_bodies` of an estimate, from drawings that are off."""
-    joints = frames_of(name)[:3]
+    joints = frames_of(name)[:2]
     arm = arm_of(joints, kinetic=kinetic, flexible=flexible)
     built = bodies_of(arm, joints)
     drawing = replace(

@@ -38,7 +38,7 @@ typedef struct {
 typedef struct {
     zygos_faults_t faults;
     uint64_t gaps, invalid, wraps, apart, quarantined;
-    uint32_t arcs_dropped, lost, left_out[ZYGOS_KINDS_OF_ROWS], validity, reason;
+    uint32_t arcs, left_out[ZYGOS_KINDS_OF_ROWS], validity, reason;
 } seen_t;
 
 typedef struct {
@@ -128,9 +128,8 @@ static void see(look_t *out)
     out->seen.wraps = arm->wraps;
     out->seen.apart = arm->apart;
     out->seen.quarantined = arm->quarantined;
-    out->seen.arcs_dropped = arm->accumulator.arcs_dropped;
-    out->seen.lost = arm->guard.lost;
-    memcpy(out->seen.left_out, arm->guard.left_out, sizeof out->seen.left_out);
+    out->seen.arcs = estimate.arcs;
+    memcpy(out->seen.left_out, estimate.left_out, sizeof out->seen.left_out);
     out->seen.validity = estimate.validity;
     out->seen.reason = estimate.reason;
 }

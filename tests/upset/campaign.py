@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from runs_support import trajectory_of
+from state_support import Leaf, leaves
 
 from bench.configurations import Configuration, build_of, write_run
 from conftest import ROOT, house_flags
@@ -86,21 +87,23 @@ def fly(name: str, trials: int, seed: int = 0, folder: Path = FOLDER) -> NDArray
     return np.fromfile(place / "records.bin", dtype=RECORD)
 
 
-def member_of(ffi: Any, kind: Any, offset: int) -> str:
-    """Path of the member at a place in a struct, without indices."""
-    if kind.kind == "array":
-        return member_of(ffi, kind.item, offset % ffi.sizeof(kind.item))
-    if kind.kind != "struct":
-        return ""
-    inside = [(name, field) for name, field in kind.fields if field.offset <= offset]
-    name, field = inside[-1]
-    if offset >= field.offset + ffi.sizeof(field.type):
-        return ".padding"
-    return f".{name}{member_of(ffi, field.type, offset - field.offset)}"
+def leaves_of(name: str) -> list[Leaf]:
+    """The numbers of the state in the build of a campaign."""
+    with build_of(CAMPAIGNS[name].capacities) as binding:
+        return list(leaves(binding.typeof("zygos_t"), sizeof=binding.sizeof))
 
 
 def members(name: str, records: NDArray[Any]) -> Counter[str]:
     """How often the records hit each member."""
-    with build_of(CAMPAIGNS[name].capacities) as ffi:
-        whole = ffi.typeof("zygos_t")
-        return Counter(member_of(ffi, whole, int(bit) // 8)[1:] for bit in records["bit"])
+    listed = leaves_of(name)
+    first = np.array([leaf.offset for leaf in listed])
+    at = np.searchsorted(first, records["bit"] // 8, side="right") - 1
+    return Counter(listed[k].member for k in at)
+
+
+def sizes(name: str) -> Counter[str]:
+    """Bytes of each member, of all elements of arrays of structs together."""
+    out: Counter[str] = Counter()
+    for leaf in leaves_of(name):
+        out[leaf.member] += leaf.size * leaf.count
+    return out

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from upset.campaign import OUTCOMES, fly, members
+from upset.campaign import OUTCOMES, fly, members, sizes
 
-TRIALS = 500
+TRIALS = 300
 
 
 @pytest.mark.slow
@@ -21,4 +21,6 @@ def test_no_flipped_bit_makes_the_library_crash_or_hang(name: str, tmp_path: Pat
     assert counts["detected"] > TRIALS // 20
     hit = members(name, records)
     assert sum(hit.values()) == TRIALS
-    assert hit.most_common(1)[0][0] == "accumulator.block.gram"
+    ((largest, size),) = sizes(name).most_common(1)
+    share = size / sizes(name).total()
+    assert abs(hit[largest] - share * TRIALS) < 3.0 * (share * (1.0 - share) * TRIALS) ** 0.5

@@ -1,0 +1,149 @@
+"""Members of the library's structs by size and role: where they lie is what the compiler says, whatever their names.
+
+Tests of upsets choose their places here. A name is for messages only: no test may know that of a private member.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.native.flight import Flight, ffi, lib
+
+SUMS = 8
+"""From so many doubles on that are not zero, an array is one of sums, or of rows that wait."""
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """A number of a struct, or an array of numbers."""
+
+    path: str
+    offset: int
+    kind: str
+    """C type of an element."""
+    count: int
+
+    @property
+    def size(self) -> int:
+        """Bytes of an element."""
+        return int(ffi.sizeof(self.kind))
+
+    @property
+    def member(self) -> str:
+        """The path without indices: one for all elements of an array of structs."""
+        return re.sub(r"\[\d+\]", "", self.path)
+
+    @property
+    def dtype(self) -> str:
+        """Of numpy, for an element."""
+        return f"{'f' if self.kind == 'double' else 'u'}{self.size}"
+
+
+@dataclass(frozen=True)
+class Place:
+    """An element of a leaf."""
+
+    leaf: Leaf
+    index: int
+
+    def flip(self, native: Any, bit: int) -> None:
+        """Change one bit of it in a struct."""
+        at = self.leaf.offset + self.index * self.leaf.size + bit // 8
+        memory = ffi.cast("unsigned char *", native)
+        memory[at] ^= 1 << bit % 8
+
+    def values(self, native: Any) -> NDArray[Any]:
+        """(1,) a view of it, through which it may be changed."""
+        first = self.leaf.offset + self.index * self.leaf.size
+        view: NDArray[Any] = np.frombuffer(ffi.buffer(native), self.leaf.dtype, 1, first)
+        return view
+
+    def bits(self, rng: np.random.Generator, count: int) -> list[int]:
+        """Some of its bits: of a double those from a relative change of 1e-7 on, of which the highest always."""
+        last = 8 * self.leaf.size
+        first = 29 if self.leaf.kind == "double" else 0
+        return [last - 2, *rng.integers(first, last, size=count - 1).tolist()]
+
+    def __str__(self) -> str:
+        return f"{self.leaf.path}, element {self.index}"
+
+
+def leaves(kind: Any, path: str = "", offset: int = 0, sizeof: Callable[[Any], int] = ffi.sizeof) -> Iterator[Leaf]:
+    """All numbers of a type of cffi, in the order of their places. sizeof: that of its build."""
+    if kind.kind == "struct":
+        for name, field in kind.fields:
+            yield from leaves(field.type, f"{path}.{name}" if path else name, offset + field.offset, sizeof)
+    elif kind.kind == "array" and kind.item.kind != "primitive":
+        for k in range(kind.length):
+            yield from leaves(kind.item, f"{path}[{k}]", offset + k * sizeof(kind.item), sizeof)
+    elif kind.kind == "array":
+        yield Leaf(path, offset, kind.item.cname, kind.length)
+    else:
+        yield Leaf(path, offset, kind.cname, 1)
+
+
+@cache
+def members(struct: str = "zygos_t") -> dict[str, list[Leaf]]:
+    """The numbers of a struct by member."""
+    out = defaultdict(list)
+    for leaf in leaves(ffi.typeof(struct)):
+        out[leaf.member].append(leaf)
+    return out
+
+
+def used(native: Any, leaf: Leaf) -> NDArray[np.int64]:
+    """Elements that are not zero."""
+    image = np.frombuffer(ffi.buffer(native), leaf.dtype, leaf.count, leaf.offset)
+    return np.flatnonzero(image)
+
+
+def one_of_each(native: Any, rng: np.random.Generator, without: Sequence[str] = ()) -> list[Place]:
+    """Of each member of zygos_t an element: one that is in use, if any is. without: the first names of some members."""
+    out = []
+    for name, group in members().items():
+        if name.split(".")[0] in without:
+            continue
+        few = [group[k] for k in rng.permutation(len(group))]
+        leaf, at = next(((one, at) for one in few if len(at := used(native, one))), (few[0], np.array([0])))
+        out.append(Place(leaf, int(rng.choice(at))))
+    return out
+
+
+def sums(native: Any, rng: np.random.Generator, each: int = 3) -> list[Place]:
+    """Of each member that is an array of sums in some elements of an array of structs: the largest entry of the first,
+    of the last and of others."""
+    out = []
+    for group in members().values():
+        if group[0].kind != "double" or group[0].count < SUMS:
+            continue
+        full = [leaf for leaf in group if len(used(native, leaf)) >= SUMS]
+        chosen = [*full[:1], *full[-1:], *(full[k] for k in rng.permutation(len(full)))][:each]
+        for leaf in dict.fromkeys(chosen):
+            image = np.frombuffer(ffi.buffer(native), leaf.dtype, leaf.count, leaf.offset)
+            out.append(Place(leaf, int(np.nanargmax(np.abs(image)))))
+    return out
+
+
+def config_of_its_own(flight: Flight) -> Any:
+    """The caller's own configuration, as zygos_scrub() wants it."""
+    return ffi.new("zygos_config_t *", flight.native.config)
+
+
+def lose_the_way(flight: Flight) -> Place:
+    """Flip a bit of an index or a count, so that it is impossible and nothing but zygos_scrub() may go on."""
+    config, work = config_of_its_own(flight), ffi.new("zygos_work_t *")
+    for place in one_of_each(flight.native, np.random.default_rng(0), without=("config", "magic")):
+        if place.leaf.kind == "uint32_t":
+            place.flip(flight.native, 20)
+            if lib.zygos_check(flight.native, config, work) == lib.ZYGOS_E_STATE:
+                return place
+            place.flip(flight.native, 20)
+    raise AssertionError("no index or count is impossible with another bit")
