@@ -28,7 +28,7 @@ BEGIN, END = "<!-- make verify writes this -->\n", "<!-- to here -->"
 TESTS = tuple(
     f"tests/{name}.py" if "/" in name else f"tests/unit/test_{name}.py"
     for name in (
-        "any_arm bandwidth blocks c_equals_numpy change check conventions counters cycle dropped effects flight "
+        "any_arm bandwidth blocks c_equals_numpy change check conventions counters cycle effects flight "
         "flight_joints guard guard_joints impulse in_place integrity kinematics momentum momentum_sums motors "
         "multibody propagation range_end refine refine_beginning refine_onboard refiner refusals scrub smoother "
         "snapshot spatial tasks telemetry text torque_noise bus/test_wire"

@@ -21,7 +21,7 @@ from zygos.arm import Arm
 from zygos.balances.arcs import FILL_INSTANTS
 from zygos.balances.effects import Signals, joint_column
 from zygos.balances.energy import held_torque
-from zygos.balances.kinematics import body_rates, planar_rates, posture
+from zygos.balances.kinematics import Posture, body_rates, crossed, planar_rates, posture
 from zygos.balances.quadrature import FromOrigin, integral
 from zygos.balances.state import State
 from zygos.effects import Effect, estimated
@@ -57,14 +57,14 @@ def in_order(arm: Arm, bodies: Floats, rotors: Floats, joints: dict[str, Floats]
 
 def joint_columns(arm: Arm, state: State) -> JointColumns:
     """Columns of momentum and force at states with any leading axes."""
-    momentum, force = (_spatial if arm.spatial else _planar)(arm, state)
-    if any(arm.feels_gravity):
-        places = posture(arm, state.q)
+    places = posture(arm, state.q) if arm.spatial or any(arm.feels_gravity) else None
+    momentum, force = _spatial(arm, state, places) if arm.spatial else _planar(arm, state)
+    if places is not None and any(arm.feels_gravity):
         turned = _turned(places.axis, places.direction, places.body)
         pull = turned @ np.array(arm.gravity)
         force = np.concatenate([force, pull[..., np.repeat(arm.feels_gravity, 2)]], axis=-1)
         momentum = np.concatenate([momentum, np.zeros_like(force[..., momentum.shape[-1] :])], axis=-1)
-    rotor_momentum, rotor_force = _rotors(arm, state)
+    rotor_momentum, rotor_force = _rotors(arm, state, places)
     return JointColumns(momentum, force, rotor_momentum, rotor_force)
 
 
@@ -81,31 +81,32 @@ def gravity_forces(arm: Arm, state: State, moments: Floats) -> Floats:
 def _turned(axis: Floats, direction: Floats, body: NDArray[np.int64]) -> Floats:
     """(..., N, V, 3): z_j x d for every direction of a body that joint j carries, otherwise 0."""
     carried = body[None, :] > np.arange(axis.shape[-2])[:, None]
-    return np.cross(axis[..., :, None, :], direction[..., None, :, :]) * carried[..., None]
+    return crossed(axis[..., :, None, :], direction[..., None, :, :]) * carried[..., None]
 
 
 def momentum_of_rates(arm: Arm, q: Floats, rates: Floats) -> Floats:
     """(..., N, p) columns of the joints' momentum at angles q (..., N) and link rates (..., N), of an arm with rigid
     joints on a fixed base. They are linear in the rates."""
     state = State(q, q, rates, rates, np.zeros((*q.shape[:-1], 3)) if arm.spatial else np.zeros(q.shape[:-1]))
-    momentum = _spatial(arm, state, forces=False)[0] if arm.spatial else _planar(arm, state)[0]
+    places = posture(arm, q) if arm.spatial else None
+    momentum = _spatial(arm, state, places, forces=False)[0] if arm.spatial else _planar(arm, state)[0]
     still = np.zeros((*momentum.shape[:-1], 2 * sum(arm.feels_gravity)))
-    return in_order(arm, np.concatenate([momentum, still], axis=-1), _rotors(arm, state)[0])
+    return in_order(arm, np.concatenate([momentum, still], axis=-1), _rotors(arm, state, places)[0])
 
 
-def _spatial(arm: Arm, state: State, forces: bool = True) -> tuple[Floats, Floats]:
+def _spatial(arm: Arm, state: State, places: Posture | None, forces: bool = True) -> tuple[Floats, Floats]:
     """Kinetic columns (..., N, K) of a spatial arm: where joint j turns by a small angle, everything beyond it turns
     with it, and its rate vectors change by z_j x v - (z_j x w_j) x d. Without forces the second are empty."""
-    places = posture(arm, state.q)
+    places = posture(arm, state.q) if places is None else places
     omega0 = state.base if arm.free else np.zeros((*state.q.shape[:-1], 3))
     omega = body_rates(omega0, places.axis, state.qd)
-    rate = np.cross(omega[..., places.body, :], places.direction)
+    rate = crossed(omega[..., places.body, :], places.direction)
     momentum = _products(arm, _turned(places.axis, places.direction, places.body), rate)
     if not forces:
         return momentum, np.zeros(0)
-    swung = np.cross(places.axis, omega[..., 1:, :])[..., :, None, :]
+    swung = crossed(places.axis, omega[..., 1:, :])[..., :, None, :]
     carried = places.body[None, :] > np.arange(arm.n)[:, None]
-    by_angle = np.cross(places.axis[..., :, None, :], rate[..., None, :, :]) - np.cross(
+    by_angle = crossed(places.axis[..., :, None, :], rate[..., None, :, :]) - crossed(
         swung, places.direction[..., None, :, :]
     )
     return momentum, _products(arm, by_angle * carried[..., None], rate)
@@ -146,19 +147,19 @@ def _planar(arm: Arm, state: State) -> tuple[Floats, Floats]:
     return momentum, force
 
 
-def _rotors(arm: Arm, state: State) -> tuple[Floats, Floats]:
+def _rotors(arm: Arm, state: State, places: Posture | None = None) -> tuple[Floats, Floats]:
     """Shares of rotors (..., N, N): of the energy n theta'_i a_i . w_(i-1) of each, and of all the energy of the rotor
     of a rigid joint, which turns with its link."""
     spin = arm.gear_ratios * state.thetad
     rigid = np.array([not joint.flexible for joint in arm.joints])
     before = np.arange(arm.n)[:, None] < np.arange(arm.n)[None, :]
     if arm.spatial:
-        axis = posture(arm, state.q).axis
+        axis = (posture(arm, state.q) if places is None else places).axis
         omega0 = state.base if arm.free else np.zeros((*state.q.shape[:-1], 3))
         omega = body_rates(omega0, axis, state.qd)
         carried = np.sum(axis * omega[..., :-1, :], axis=-1)
         along = np.einsum("...jk,...ik->...ji", axis, axis)
-        turned = np.cross(axis[..., :, None, :], axis[..., None, :, :])
+        turned = crossed(axis[..., :, None, :], axis[..., None, :, :])
         swung = np.einsum("...jik,...jk->...ji", turned, omega[..., 1:, :])
     else:
         carried = planar_rates(arm, state)[..., :-1]
@@ -202,12 +203,18 @@ def increment_instants(arm: Arm, increment_s: float) -> int:
 
 
 def joint_rows(
-    arm: Arm, samples: Samples, smoothed: Smoothed, increment_s: float, effects: Sequence[Effect] = ()
+    arm: Arm,
+    samples: Samples,
+    smoothed: Smoothed,
+    increment_s: float,
+    effects: Sequence[Effect] = (),
+    columns: JointColumns | None = None,
 ) -> JointRows:
-    """Rows of a whole record over increments of that length, half overlapping. Errors: as `estimated`."""
+    """Rows of a whole record over increments of that length, half overlapping. columns: `joint_columns` at the smoothed
+    instants, where they are known. Errors: as `estimated`."""
     steps = increment_instants(arm, increment_s)
     state = State.smoothed(arm, smoothed)
-    columns = joint_columns(arm, state)
+    columns = joint_columns(arm, state) if columns is None else columns
     acting = estimated(arm, effects)
     before, after = samples.tau[smoothed.index - 1], samples.tau[smoothed.index]
     z = _running(arm, state, columns, smoothed.segment)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm, Smoother
-from zygos.balances.joint import in_order, joint_columns
-from zygos.balances.state import State
+from zygos.balances.joint import in_order
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import Undecided, ZygosError
@@ -505,8 +504,7 @@ def predicted_torque(motion: Motion, values: Floats | None) -> Floats | None:
     if values is None:
         return None
     arm, h = motion.arm, motion.arm.period_s
-    state = State.smoothed(arm, motion.smoothed)
-    columns = joint_columns(arm, state)
+    columns = motion.columns
     z = in_order(
         arm,
         np.gradient(columns.momentum, h, axis=0) - columns.force,

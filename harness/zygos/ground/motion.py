@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import TORQUE_STEP, Arm, Smoother
-from zygos.balances.joint import in_order, joint_columns
+from zygos.balances.joint import JointColumns, in_order, joint_columns
 from zygos.balances.state import State
 from zygos.can.run import Run
 from zygos.cutoff import HALF_WIDTH_MAX, rate_cutoff
@@ -54,6 +55,11 @@ class Motion:
     def arm(self) -> Arm:
         """The arm of the run."""
         return self.run.arm
+
+    @cached_property
+    def columns(self) -> JointColumns:
+        """At the smoothed instants."""
+        return joint_columns(self.arm, State.smoothed(self.arm, self.smoothed))
 
     @classmethod
     def of(cls, run: Run, arm: Arm | None = None) -> Motion:

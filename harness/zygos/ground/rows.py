@@ -106,7 +106,7 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
     """
     arm = motion.arm
     moving = [effect for effect in effects if not effect.kind.on_ground]
-    rows = joint_rows(arm, motion.samples, motion.smoothed, span_s, moving)
+    rows = joint_rows(arm, motion.samples, motion.smoothed, span_s, moving, motion.columns)
     state = State.smoothed(arm, motion.smoothed)
     p = len(arm.parameter_names)
     z = [rows.z[..., :p]]

@@ -7,14 +7,14 @@ from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.fit import fit
 from zygos.gap.ground.predictions import Stage
 from zygos.gap.ground.search import Search, is_gain, without
-from zygos.gap.ground.twin import acting_of, predicted_load, twin_of
+from zygos.gap.ground.twin import Twins, acting_of, predicted_load
 from zygos.model.model import Model
 
 _MOST = 0.5
 """Share of an effect that may be an error which its twin has as well."""
 
 
-def confirmed(simulation: Model, table: Table, found: Search, model: Stage) -> Search:
+def confirmed(simulation: Model, table: Table, found: Search, model: Stage, known: Twins) -> Search:
     """The search without what the twin of its model shows half as large beyond what acts there. model: with what was
     found.
 
@@ -24,7 +24,7 @@ def confirmed(simulation: Model, table: Table, found: Search, model: Stage) -> S
         return found
     places = {one.name: table.layout.at(one.name) for one in found.named if not is_gain(one.candidate)}
     layout = Layout.of(table.layout.arm, simulation, [one.candidate for one in found.named], table.layout.runs)
-    twins = [twin_of(rows.motion, model.values, model.effects) for rows in table.rows]
+    twins = [known.of(rows.motion, model.values, model.effects) for rows in table.rows]
     there = table_of(layout, twins, table.span_s, [predicted_load(twin, model.values) for twin in twins])
     shared = [layout.at(table.layout.names[k]) for k in found.after.free if k < table.layout.shared]
     again = fit(there, [*shared, *range(layout.shared, layout.width - 1)])

@@ -28,7 +28,7 @@ from zygos.gap.ground.search import Search, beside_all, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
 from zygos.gap.ground.timing import lateness, torque_constants
-from zygos.gap.ground.twin import increments_floor, predicted_load
+from zygos.gap.ground.twin import Twins, increments_floor, predicted_load
 from zygos.gap.verdicts import (
     Changed,
     Inseparable,
@@ -126,7 +126,8 @@ class _Explainer:
             self.simulation, table, found, self._bodies(table, found), lambda name: self.step(0.75, f"found {name}")
         )
         self.step(0.77, "the twin of what was found")
-        found = confirmed(self.simulation, table, found, stage_of(table.layout, "closed", found.after))
+        twins = Twins()
+        found = confirmed(self.simulation, table, found, stage_of(table.layout, "closed", found.after), twins)
         if not found.last and all(is_gain(one.candidate) for one in found.named):
             found = beside_all(table, found)
         self.step(0.78, "changes within and between runs")
@@ -135,11 +136,11 @@ class _Explainer:
             found = replace(found, after=changed[1])
         self.step(0.8, "predictions of the untouched runs")
         sizes = _Sizes.of(table, found)
-        forms = form_sigmas(self.simulation, table, found, stage_of(table.layout, "closed", found.after))
+        forms = form_sigmas(self.simulation, table, found, stage_of(table.layout, "closed", found.after), twins)
         findings = self._findings(found, sizes, forms)
         findings = (*findings, *self._directions(table, found, findings, sizes))
         gap = self._gap(table, found)
-        left = _Increments.of(table, found)
+        left = _Increments.of(table, found, twins)
         values_found = self._values(table, sizes)
         verdict: Verdict
         late, pull = lateness(table), missing_gravity(table, self.simulation)
@@ -493,9 +494,9 @@ class _Increments:
         return np.asarray(self.torque / self.floor, dtype=np.float64)
 
     @classmethod
-    def of(cls, table: Table, found: Search) -> _Increments:
+    def of(cls, table: Table, found: Search, known: Twins) -> _Increments:
         model = stage_of(table.layout, "closed", found.after)
-        twins = [increments_floor(rows, model.values, model.effects) for rows in table.rows]
+        twins = [increments_floor(rows, model.values, model.effects, known) for rows in table.rows]
         floor = np.fmax(np.array(twins), table.floor) / table.span_s
         return cls(_torque_left(table, found.after.x), floor)
 

@@ -19,7 +19,7 @@ from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.fit import fit, jackknife, unknown
 from zygos.gap.ground.predictions import Stage
 from zygos.gap.ground.search import Search, is_gain
-from zygos.gap.ground.twin import predicted_load, twin_of
+from zygos.gap.ground.twin import Twins, predicted_load
 from zygos.gap.parts import Part, acted_on, parts_of
 from zygos.ground.motion import Motion
 from zygos.model.model import Model
@@ -27,7 +27,7 @@ from zygos.model.model import Model
 Floats = NDArray[np.float64]
 
 
-def form_sigmas(simulation: Model, table: Table, found: Search, model: Stage) -> dict[str, float]:
+def form_sigmas(simulation: Model, table: Table, found: Search, model: Stage, known_twins: Twins) -> dict[str, float]:
     """Standard deviation of the coefficient of each named law by what its form leaves open. model: with what was
     found."""
     motions = [rows.motion for rows in table.rows]
@@ -35,7 +35,7 @@ def form_sigmas(simulation: Model, table: Table, found: Search, model: Stage) ->
     laws = [one for one in listed if one.effect is not None and one.effect.kind.law is not None and not is_gain(one)]
     if not laws:
         return {}
-    twins = [twin_of(motion, model.values, model.effects) for motion in motions]
+    twins = [known_twins.of(motion, model.values, model.effects) for motion in motions]
     loads = [[predicted_load(motion, model.values) for motion in of] for of in (motions, twins)]
     parted = [_Parted.of(law, _parts(law, motions, loads[0])) for law in laws]
     known = [

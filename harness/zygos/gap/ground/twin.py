@@ -38,7 +38,24 @@ def floor(motion: Motion, rows: TorqueRows, values: Floats, effects: Sequence[Ef
     return scored(motion.run, "floor", twin, values, acting, motion)
 
 
-def increments_floor(measured: RunRows, values: Floats, effects: Sequence[Effect], seed: int = 0) -> Floats:
+class Twins:
+    """Twins of runs, each made once: several questions are asked of the twin of one model."""
+
+    def __init__(self) -> None:
+        """None is known."""
+        self._known: list[tuple[Motion, Floats, Sequence[Effect], Motion]] = []
+
+    def of(self, motion: Motion, values: Floats, effects: Sequence[Effect]) -> Motion:
+        """As `twin_of`."""
+        acting = acting_of(effects)
+        for run, known, acted, twin in self._known:
+            if run is motion and acted == acting and np.array_equal(known, values):
+                return twin
+        self._known.append((motion, values, acting, twin_of(motion, values, acting)))
+        return self._known[-1][-1]
+
+
+def increments_floor(measured: RunRows, values: Floats, effects: Sequence[Effect], twins: Twins) -> Floats:
     """(N,) what a model leaves of the increments of its own twin, with the best offset of each torque, as standard
     deviation, Nms. Beside noise these are the errors of smoothing and quadrature, and friction of joints that rest,
     which may be anything up to that of a joint that moves.
@@ -48,7 +65,7 @@ def increments_floor(measured: RunRows, values: Floats, effects: Sequence[Effect
     """
     motion, acting = measured.motion, acting_of(effects)
     arm = motion.arm
-    twin = twin_of(motion, values, acting, seed)
+    twin = twins.of(motion, values, acting)
     own = run_rows(twin, measured.span_s, acting, predicted_load(twin, values))
     left = own.w - own.z @ np.array([*values, *(effect.value for effect in acting)])
     used = measured.rows.accepted[:, None] & ~measured.lingers & np.isfinite(left)
@@ -79,7 +96,7 @@ def _resting_friction(arm: Arm, effects: Sequence[Effect]) -> Floats:
 def predicted_load(motion: Motion, values: Floats) -> Floats:
     """(m, N) torque of bodies and rotors after the gear at the smoothed instants, Nm."""
     arm, h = motion.arm, motion.arm.period_s
-    columns = joint_columns(arm, State.smoothed(arm, motion.smoothed))
+    columns = motion.columns
     z = in_order(
         arm,
         np.gradient(columns.momentum, h, axis=0) - columns.force,
