@@ -26,6 +26,7 @@ from conftest import ROOT
 from zygos.errors import ZygosError
 from zygos.files.output import errors_end_the_program, note, say, write_json
 from zygos.files.progress import progress
+from zygos.report.provenance import measured_commit
 
 PROFILED = ("paper, bare", "seven, bare")
 
@@ -52,7 +53,7 @@ def versions() -> dict[str, str]:
     """First lines of what the tools say of themselves."""
     named = ("gcc", "arm-none-eabi-gcc", "valgrind", "qemu-system-arm")
     said = {one: subprocess.run([one, "--version"], capture_output=True, text=True, check=True).stdout for one in named}
-    return {one: text.splitlines()[0] for one, text in said.items()}
+    return {one: text.splitlines()[0] for one, text in said.items()} | {"zygos": f"zygos of commit {measured_commit()}"}
 
 
 def chosen(path: Path, names: list[str]) -> None:

@@ -78,6 +78,7 @@ def test_values_between_the_steps_are_no_frames() -> None:
         tool_module("pendulum").counts(np.array([0.0]), 12.5, 16)
 
 
+@pytest.mark.slow(but=["02"])
 @pytest.mark.parametrize("name", NAMES)
 def test_each_recording_becomes_a_run(name: str, tmp_path: Path) -> None:
     assert convert(name, tmp_path / "run.npz", "--json", tmp_path / "c.json") == 0
@@ -126,13 +127,11 @@ def test_the_rates_are_those_that_the_drives_measured(name: str, tmp_path: Path)
     fit = np.linalg.pinv(np.vander(np.arange(-12, 13) * 0.01, 5, increasing=True))
     for joint in (1, 2):
         angle = cumulative_trapezoid(published[f"vel_meas{joint}"], published["time"], initial=0.0)
-
         own = smoothed.qd[:, joint - 1]
         off = {}
         for shift in (-0.005, 0.0, 0.005):
             moved = np.interp(at + shift, published["time"], angle)
             off[shift] = float(np.std(sliding_window_view(moved, 25) @ fit[1] - own) / np.std(own))
-        print(joint, off)
         assert min(off, key=lambda shift: off[shift]) == 0.0
         assert off[0.0] < 0.02
         inner = (published["time"] > at[0]) & (published["time"] < at[-1])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import subprocess
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -45,16 +44,6 @@ def generator() -> str:
     """Digest of what makes the runs, and of what scores them."""
     folder = ROOT / "tests" / "oracles"
     return _digest(folder / f"{name}.py" for name in ("hidden", "tree", "arms", "cells", "score"))
-
-
-@cache
-def commit() -> str:
-    """Commit of the working tree, with a plus where it has changes."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
-
-    return git("rev-parse", "--short=10", "HEAD") + ("+" if git("status", "--porcelain", "harness", "c") else "")
 
 
 def read(path: Path | None = None) -> list[Line]:

@@ -33,6 +33,7 @@ from zygos.arm import save_arm
 from zygos.files.output import say, table, write_json
 from zygos.files.progress import progress
 from zygos.model.model import save_model
+from zygos.report.provenance import measured_commit
 from zygos.runs.tables import write_cycles
 
 TIMEOUT_S = 600
@@ -92,7 +93,7 @@ def line_of(one: Case, true: Truth, verdict: dict[str, Any], message: str) -> di
         "dirty": one.dirty,
         "declared": any(joint.torque_sigma for joint in one.arm.joints),
         "product": ledger.product(),
-        "commit": ledger.commit(),
+        "commit": measured_commit(),
         "generator": ledger.generator(),
         "truth": [[e["key"], e["joint"], _short(e["size"]), e["exact"]] for e in as_json(true)["effects"]],
         "answer": verdict["answer"],

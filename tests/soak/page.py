@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from soak.endurance import FAR_SHARE, FAR_SIGMAS, LOOKS, LOST, SOAKS, STALE, Outcome
 from zygos.accuracy.mission import MISSING
 from zygos.files.output import counted
+from zygos.report.provenance import measured_commit
 
 INTRODUCTION = f"""\
 # Weeks of flight at an accelerated pace
@@ -57,7 +58,7 @@ def page(found: Sequence[Outcome]) -> str:
     lines = [INTRODUCTION]
     head = ("soak", "arm", "duration", "cycles", "frames lost / stale", "resumed", "validity")
     head += ("95 % intervals that hold", "counters", "verdict")
-    lines += _table(head, map(_row, found))
+    lines += [*_table(head, map(_row, found)), "", f"Measured with commit {measured_commit()}."]
     for one in found:
         if one.share < 1.0:
             lines += [

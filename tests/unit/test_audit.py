@@ -58,7 +58,8 @@ def run(name: str, arm: Arm, seeds: int, *effects: Effect) -> list[Cycles]:
         model, scenario = load_model(GAP / "cad.toml"), load_scenario(GAP / f"{name}.toml")
         options = {"duration_s": 20.0, "rtol": 1e-9, "atol": 1e-11}
     model = replace(model, effects=model.effects + effects)
-    trajectory = trajectory_of(arm, model, scenario, seeds=range(seeds), noise=True, **options)
+    drawn = range(50 if name == "lively" and arm == arm_of(name) else seeds)  # as the fixture `noisy`
+    trajectory = trajectory_of(arm, model, scenario, seeds=drawn, noise=True, **options)
     return [over_the_bus(arm, trajectory.cycles(k)) for k in range(seeds)]
 
 
@@ -78,7 +79,7 @@ def named(found: Audit) -> dict[str, str]:
     return {f.signal: f.fault for f in found.findings}
 
 
-@pytest.mark.slow(but=["2-lively", "1-b"])
+@pytest.mark.slow(only=["10-*", "*-a"])
 @pytest.mark.parametrize(("seeds", "name"), [(2, "lively"), (1, "b"), (10, "lively"), (1, "a")])
 def test_a_clean_run_is_clean(seeds: int, name: str) -> None:
     arm = arm_of(name)
@@ -172,9 +173,9 @@ FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
 
 
 QUICK_FAULTS = (
-    "lively-gyro z inverted", "lively-two at once", "b-* inverted", "b-shoulder link angle stuck?",
-    "b-elbow torque dead", "b-gyro z *", "b-*ink angle clipped", "b-elbow torque clipped", "b-*swapped",
-    "b-encoders *", "b-*turned",
+    "lively-two at once", "b-elbow *inverted", "b-shoulder link angle stuck?", "b-elbow torque dead", "b-gyro z *ed",
+    "b-shoulder link angle clipped", "b-links swapped", "b-torques swapped", "b-joints swapped",
+    "b-encoders of joint 1", "b-gyro axes", "b-*turned",
 )  # fmt: skip
 
 
@@ -465,7 +466,7 @@ STIFF_FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
 ]
 
 
-@pytest.mark.slow(but=["a2 *", "a1 *, a3 *", "stuck"])
+@pytest.mark.slow(but=["a2 torque", "a1 link*, a3 *", "stuck"])
 @pytest.mark.parametrize(("fault", "expected"), [f[1:] for f in STIFF_FAULTS], ids=[f[0] for f in STIFF_FAULTS])
 def test_faults_of_stiff_joints_with_friction_and_weight(
     robot: tuple[Arm, Cycles], fault: Fault, expected: dict[str, str]

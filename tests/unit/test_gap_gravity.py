@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from trial_support import runs_of
 
 from oracles.arms import Plant, Trial, pendulum, six
 from zygos.can.run import Run
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.verdicts import WrongGravity
 
-SECONDS = 12.0
+SECONDS = 6.0
 WEIGHT = (0.0, 0.0, -9.81)
 TRIALS = {"pendulum": pendulum, "six": six}
 
@@ -24,8 +24,7 @@ def recorded(name: str, gravity: tuple[float, float, float]) -> tuple[Trial, tup
     """Three runs of an arm in MuJoCo in which gravity is this."""
     trial = TRIALS[name]()
     trial = replace(trial, arm=replace(trial.arm, gravity=gravity))
-    cycles = [Plant(trial, trial.drawn).run(which, 3, SECONDS)[0] for which in (0, 1, 2)]
-    a, b, c = (Run(trial.arm, table=table, path=Path(letter)) for letter, table in zip("abc", cycles, strict=True))
+    a, b, c = runs_of(Plant(trial, trial.drawn), 3, SECONDS, (0, 1, 2))
     return trial, (a, b, c)
 
 

@@ -16,7 +16,6 @@ from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect, Kind, laws
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.explain import explain
-from zygos.gap.explanation import Explanation
 from zygos.gap.findings import undecided
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.record import MeasuredRun, read_measured_run
@@ -73,11 +72,11 @@ def test_the_planned_motion_tells_an_offset_from_a_friction_that_differs_between
 
 def test_nothing_is_planned_where_nothing_has_to_be_told_apart_or_no_motion_can(tmp_path: Path) -> None:
     arm, model = axis()
-    runs = measured(lambda q, qd: MEAN * size() * sign(qd))
+    runs = measured(lambda q, qd: MEAN * size() * sign(qd), seconds=10.0)
     named = explain_ground(arm, model, runs[:2], runs[2:])
     with pytest.raises(ZygosError, match="the answer is 'named': no effects have to be told apart"):
         plan_next(named, _free(), tmp_path / "arm.toml", tmp_path / "cad.toml")
-    runs = measured(one_sided)
+    runs = measured(one_sided, seconds=10.0)
     found = explain_ground(arm, model, runs[:2], runs[2:])
     with pytest.raises(Undecided, match=r"none of [0-9]+ motions can be flown; the last one: the torque of joint"):
         plan_next(found, limits_of(arm, None, None, "0.001"), tmp_path / "arm.toml", tmp_path / "cad.toml")
@@ -102,13 +101,13 @@ def _flown(scenario: Scenario, seed: int) -> MeasuredRun:
     return read_measured_run(arm, Path(f"{scenario.name}-{seed}.blf"), encode(arm, run.cycles()))
 
 
-@pytest.fixture(scope="module")
-def faint(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[MeasuredRun], Explanation]:
-    """The folder of arm and model, three runs that do not show which friction there is, and what is said of them."""
-    folder = tmp_path_factory.mktemp("faint")
+@pytest.mark.slow
+def test_the_planned_motion_of_a_floating_arm_tells_coulomb_from_viscous_friction(tmp_path: Path) -> None:
+    """Three runs show too little; the motion that is planned for what they leave open tells it."""
     arm, model, scenario = example()
-    save_arm(arm, folder / "arm.toml")
-    save_model(model, folder / "cad.toml")
+    files = tmp_path / "arm.toml", tmp_path / "cad.toml"
+    save_arm(arm, files[0])
+    save_model(model, files[1])
     records = []
     for seed, periods in enumerate(((5.0, 7.0), (6.0, 4.5), (5.5, 6.3))):
         moves = [_there_and_back(period, offset) for period, offset in zip(periods, (-0.3, -1.4), strict=True)]
@@ -121,35 +120,17 @@ def faint(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Measured
         )
         records.append(_flown(slow, seed))
     found = explain(arm, model, records[:2], records[2:])
-    assert isinstance(found, Explanation)
-    return folder, records, found
-
-
-@pytest.mark.slow
-def test_a_motion_is_planned_where_a_floating_arm_shows_too_little(
-    faint: tuple[Path, list[MeasuredRun], Explanation],
-) -> None:
-    folder, _, found = faint
     assert found.answer == "cannot tell", found.sentence
     (friction,) = found.findings
     assert {friction.kind, *friction.instead} == {"motor_coulomb", "motor_viscous2"}
-    planned = plan_next(found, limits_of(found.arm, None, None, None), folder / "arm.toml", folder / "cad.toml")
-    assert planned.z > 4.5
-    save_scenario(planned.scenario, folder / "next.toml")
-    assert load_scenario(folder / "next.toml").duration_s == planned.scenario.duration_s
-
-
-@pytest.mark.slow
-def test_the_planned_motion_of_a_floating_arm_tells_coulomb_from_viscous_friction(
-    faint: tuple[Path, list[MeasuredRun], Explanation],
-) -> None:
-    folder, records, found = faint
-    arm, model, _ = example()
     limits = limits_of(arm, None, None, None)
-    flown = _flown(plan_next(found, limits, folder / "arm.toml", folder / "cad.toml").scenario, 7)
-    named = explain(arm, model, [records[0], flown], records[2:])
+    planned = plan_next(found, limits, *files)
+    assert planned.z > 4.5
+    save_scenario(planned.scenario, tmp_path / "next.toml")
+    assert load_scenario(tmp_path / "next.toml").duration_s == planned.scenario.duration_s
+    named = explain(arm, model, [records[0], _flown(planned.scenario, 7)], records[2:])
     assert named.answer == "named", named.sentence
     assert [(one.kind, one.joint) for one in named.findings] == [("motor_coulomb", "elbow")]
     assert named.findings[0].value == pytest.approx(0.002, rel=0.1)
     with pytest.raises(ZygosError, match="no effects have to be told apart"):
-        plan_next(named, limits, folder / "arm.toml", folder / "cad.toml")
+        plan_next(named, limits, *files)

@@ -27,8 +27,8 @@ def coulomb(q: Array, qd: Array) -> Array:
 
 
 @cache
-def runs() -> tuple[Run, ...]:
-    return tuple(measured(coulomb))
+def runs(seconds: float = 20.0) -> tuple[Run, ...]:
+    return tuple(measured(coulomb, seconds=seconds))
 
 
 @pytest.mark.slow
@@ -89,15 +89,15 @@ def test_the_simulator_of_a_floating_arm() -> None:
 
 
 def test_other_torques_and_a_run_that_tells_nothing_are_refused() -> None:
-    own = simulated(runs()[0])
+    short = runs(5.0)
+    own = simulated(short[0])
     other = replace(own, frames=None, table=replace(own.cycles, tau=1.01 * own.cycles.tau))
     with pytest.raises(ZygosError, match="torques are those of none of the measured runs"):
-        explain_runs(other, runs())
+        explain_runs(other, short)
     with pytest.raises(ZygosError, match="the same recording"):
-        explain_runs(runs()[0], runs())
-    still = [
-        replace(run, frames=None, table=replace(run.cycles, q=0.0 * run.cycles.q + 0.1, theta=0.0 * run.cycles.q + 0.1))
-        for run in measured(nothing)
-    ]
+        explain_runs(short[0], short)
+    free = measured(nothing, seconds=5.0)
+    rest = 0.0 * free[0].cycles.q + 0.1
+    still = replace(free[0], frames=None, table=replace(free[0].cycles, q=rest, theta=rest))
     with pytest.raises(Undecided, match="does not tell its parameters apart"):
-        explain_runs(still[0], measured(nothing))
+        explain_runs(still, free)

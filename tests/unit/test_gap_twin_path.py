@@ -17,7 +17,7 @@ from zygos.gap.balances import Layout
 from zygos.gap.runs import record_of
 from zygos.gap.study import Study, begin, read_hypothesis
 
-SECONDS = 16.0
+SECONDS = 8.0
 NOISE = 0.02
 OFFSET, GAIN = (0.4, -0.4), (0.0, 0.015)
 

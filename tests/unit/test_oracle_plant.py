@@ -6,6 +6,7 @@ import ast
 import hashlib
 import os
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from oracles.laws import (
     RateStiffness,
     TorqueLag,
 )
-from oracles.plant import TORQUE_STEP, MujocoPlant
+from oracles.plant import TORQUE_STEP, Motion, MujocoPlant
 from oracles.simulate import run, write
 from zygos.arm import Arm, load_arm
 from zygos.model.model import Model, load_model
@@ -44,18 +45,27 @@ LAWS = (
     MotorCoulomb(ELBOW, 0.03),
     MotorViscous(ELBOW, 0.2),
     LinkCoulomb(ELBOW, 2.0),
-    CubicStiffness(ELBOW, 100.0),
+    CubicStiffness(ELBOW, 300.0),
     TorqueLag(ELBOW, 0.003),
     RateStiffness(ELBOW, 0.02),
     BaseDetent(0, 1.0),
 )
 
 
-@pytest.fixture(scope="module")
+@cache
 def example() -> tuple[Arm, Model, Scenario]:
+    """Arm, model and motion."""
     # without what the drawing assumes of the momentum: here the scenario has the word
     drawn = replace(load_model(GAP / "cad.toml"), effects=())
     return load_arm(GAP / "arm.toml"), drawn, load_scenario(GAP / "a.toml")
+
+
+@cache
+def audited(kind: type[Law] | None) -> Motion:
+    """Three seconds with the law of LAWS that is of this kind, or without any; its energy balance is kept."""
+    arm, model, scenario = example()
+    laws = [law for law in LAWS if type(law) is kind]
+    return MujocoPlant(arm, model).run(scenario, laws, duration_s=3.0, audit=True)
 
 
 def at(**values: float) -> Local:
@@ -72,10 +82,10 @@ def test_nothing_is_shared_with_the_plant_of_the_package() -> None:
         assert {name for name in imported if name and name.startswith("zygos")} <= readers
 
 
-def test_a_minute_conserves_energy_and_momentum(example: tuple[Arm, Model, Scenario]) -> None:
-    arm, model, scenario = example
+def test_a_motion_conserves_energy_and_momentum() -> None:
+    arm, model, scenario = example()
     plant = MujocoPlant(arm, model)
-    motion = plant.run(replace(scenario, angular_momentum_nms=1.0), audit=True)
+    motion = plant.run(replace(scenario, angular_momentum_nms=1.0), audit=True, duration_s=20.0)
     balance = motion.balance
     assert balance is not None
     assert balance.gap < 1e-9
@@ -86,40 +96,38 @@ def test_a_minute_conserves_energy_and_momentum(example: tuple[Arm, Model, Scena
     assert np.abs(linear).max() < 1e-6  # and those of this one 1e3 kg m/s
 
 
-def test_moves_as_the_plant_of_the_package(example: tuple[Arm, Model, Scenario]) -> None:
+def test_moves_as_the_plant_of_the_package() -> None:
     """Two formulations, two integrators."""
-    arm, model, scenario = example
+    arm, model, scenario = example()
     scenario = replace(scenario, angular_momentum_nms=5.0)
-    ours = MujocoPlant(arm, model).run(scenario, noise=False, duration_s=2.0, step_s=1e-3)
-    theirs = trajectory_of(arm, model, scenario, noise=False, duration_s=2.0)
+    ours = MujocoPlant(arm, model).run(scenario, noise=False, duration_s=1.0, step_s=1e-3)
+    theirs = trajectory_of(arm, model, scenario, noise=False, duration_s=1.0)
     np.testing.assert_allclose(ours.q, theirs.q[0], atol=1e-11)
     np.testing.assert_allclose(ours.theta, theirs.theta[0], atol=1e-11)
     np.testing.assert_allclose(ours.omega0, theirs.omega0[0], atol=1e-11)
     np.testing.assert_allclose(ours.tau, theirs.tau[0], atol=1e-9)
 
 
-def test_moves_alike_about_another_axis(example: tuple[Arm, Model, Scenario]) -> None:
+def test_moves_alike_about_another_axis() -> None:
     """The arm turned on its side, its mass centres off the lines between the joints."""
-    arm, model, scenario = example
+    arm, model, scenario = example()
     joints = tuple(replace(joint, axis=(1.0, 0.0, 0.0)) for joint in arm.joints)
     arm = replace(arm, kinetic="planar", joints=joints)
     bodies = [replace(body, origin_xyz=(0.0, body.origin_xyz[0], 0.7 + 0.2 * i)) for i, body in enumerate(model.bodies)]
     for i in (0, 1):
         bodies[i] = replace(bodies[i], joint_xyz=(0.0, 5.0, 1.0 - i))
     model = replace(model, bodies=tuple(bodies))
-    ours = MujocoPlant(arm, model).run(scenario, noise=False, duration_s=2.0, step_s=1e-3)
-    theirs = trajectory_of(arm, model, scenario, noise=False, duration_s=2.0)
+    ours = MujocoPlant(arm, model).run(scenario, noise=False, duration_s=1.0, step_s=1e-3)
+    theirs = trajectory_of(arm, model, scenario, noise=False, duration_s=1.0)
     np.testing.assert_allclose(ours.q, theirs.q[0], atol=1e-10)
     np.testing.assert_allclose(ours.omega0, theirs.omega0[0], atol=1e-10)
     np.testing.assert_allclose(ours.cycles.omega, theirs.cycles(0).omega, atol=1e-10)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
-def test_energy_closes_with_every_law(example: tuple[Arm, Model, Scenario], law: Law) -> None:
-    arm, model, scenario = example
-    plant = MujocoPlant(arm, model)
-    plain = plant.run(scenario, duration_s=6.0)
-    hidden = plant.run(scenario, (law,), duration_s=6.0, audit=True)
+def test_energy_closes_with_every_law(law: Law) -> None:
+    arm, model, scenario = example()
+    plant, plain, hidden = MujocoPlant(arm, model), audited(None), audited(type(law))
     assert hidden.balance is not None
     assert hidden.balance.gap < 1e-9
     assert np.abs(hidden.q - plain.q).max() > 1e-4
@@ -135,9 +143,8 @@ def test_energy_closes_with_every_law(example: tuple[Arm, Model, Scenario], law:
 @pytest.mark.parametrize(
     "law", [law for law in LAWS if law.key.endswith(("coulomb", "viscous"))], ids=lambda law: law.key
 )
-def test_friction_dissipates(example: tuple[Arm, Model, Scenario], law: Law) -> None:
-    arm, model, scenario = example
-    motion = MujocoPlant(arm, model).run(scenario, (law,), duration_s=6.0, audit=True)
+def test_friction_dissipates(law: Law) -> None:
+    arm, motion = example()[0], audited(type(law))
     assert motion.balance is not None
     loss = -motion.balance.law
     # the bristles of a Dahl spring hold a little back
@@ -151,10 +158,9 @@ def test_friction_dissipates(example: tuple[Arm, Model, Scenario], law: Law) -> 
     assert loss[-1] < ideal  # rounded at the reversals, bent at speed
 
 
-def test_a_spring_gives_back_what_it_takes(example: tuple[Arm, Model, Scenario]) -> None:
-    arm, model, scenario = example
-    law = CubicStiffness(ELBOW, 300.0)
-    motion = MujocoPlant(arm, model).run(scenario, (law,), duration_s=6.0, audit=True)
+def test_a_spring_gives_back_what_it_takes() -> None:
+    motion = audited(CubicStiffness)
+    (law,) = (law for law in LAWS if isinstance(law, CubicStiffness))
     assert motion.balance is not None
     deflection = (motion.theta - motion.q)[:, ELBOW]
     stored = np.array([law.energy(d) for d in deflection])
@@ -162,10 +168,9 @@ def test_a_spring_gives_back_what_it_takes(example: tuple[Arm, Model, Scenario])
     np.testing.assert_allclose(motion.balance.law, -stored, atol=1e-6)
 
 
-def test_a_detent_has_a_potential(example: tuple[Arm, Model, Scenario]) -> None:
-    arm, model, scenario = example
-    law = BaseDetent(0, 1.0)
-    motion = MujocoPlant(arm, model).run(scenario, (law,), duration_s=6.0, audit=True)
+def test_a_detent_has_a_potential() -> None:
+    motion = audited(BaseDetent)
+    (law,) = (law for law in LAWS if isinstance(law, BaseDetent))
     assert motion.balance is not None
     stored = law.size / law.teeth * np.cos(law.teeth * motion.phi0)
     np.testing.assert_allclose(motion.balance.law, stored[0] - stored, atol=1e-6)
@@ -209,8 +214,8 @@ def test_a_lag_delays_the_impulse_by_its_time_constant(lag: float) -> None:
     assert missing == pytest.approx(-2.0 * lag)
 
 
-def test_readings_are_whole_quanta(example: tuple[Arm, Model, Scenario]) -> None:
-    arm, model, scenario = example
+def test_readings_are_whole_quanta() -> None:
+    arm, model, scenario = example()
     joints = [
         replace(joint, motor_encoder=replace(joint.motor_encoder, sign=-1, zero_rad=0.1, quantum_rad=1e-4))
         for joint in arm.joints
@@ -231,20 +236,20 @@ def test_readings_are_whole_quanta(example: tuple[Arm, Model, Scenario]) -> None
     assert not np.array_equal(other.offset, motion.offset)
 
 
-def test_the_gyro_errs_as_declared(example: tuple[Arm, Model, Scenario]) -> None:
-    arm, model, scenario = example
+def test_the_gyro_errs_as_declared() -> None:
+    arm, model, scenario = example()
     noisy = replace(arm, imu=replace(arm.imu, rate_sigma=1e-4, bias_walk=0.0))
-    motion = MujocoPlant(noisy, model).run(scenario, duration_s=20.0)
+    motion = MujocoPlant(noisy, model).run(scenario, duration_s=10.0)
     error = motion.cycles.omega - motion.omega0[:, None] * [0.0, 0.0, 1.0]
     np.testing.assert_allclose(error.std(axis=0), 1e-4, rtol=0.05)
     walking = replace(arm, imu=replace(arm.imu, rate_sigma=0.0, bias_walk=1e-4))
-    motion = MujocoPlant(walking, model).run(scenario, duration_s=20.0)
+    motion = MujocoPlant(walking, model).run(scenario, duration_s=10.0)
     error = motion.cycles.omega - motion.omega0[:, None] * [0.0, 0.0, 1.0]
     np.testing.assert_allclose(np.diff(error, axis=0).std(axis=0), 1e-4 * np.sqrt(arm.period_s), rtol=0.05)
 
 
-def test_a_log_has_the_same_bytes_each_time(example: tuple[Arm, Model, Scenario], tmp_path: Path) -> None:
-    arm, model, scenario = example
+def test_a_log_has_the_same_bytes_each_time(tmp_path: Path) -> None:
+    arm, model, scenario = example()
     digests = set()
     for name in ("one.blf", "two.blf"):
         cycles = run(arm, built(model, 20), replace(scenario, duration_s=2.0), 1, MotorCoulomb(ELBOW, 0.03))

@@ -19,7 +19,7 @@ from zygos.effects import Effect
 from zygos.model.model import Model, Quantity
 from zygos.simulation.plant import Trajectory
 
-DURATION_S = 4.0
+DURATION_S = 2.0
 CYCLES = 151
 """Samples of a stretch: 0.75 s."""
 
@@ -39,7 +39,7 @@ def with_drives(model: Model, **values: float) -> Model:
 def away(trajectory: Trajectory, cycles: int, factor: int = 1) -> float:
     """Largest distance of stretches from the run they begin on, by state in units of how far that state moves."""
     path, tau, dynamics = packed(trajectory), trajectory.tau[0], trajectory.dynamics
-    starts = np.arange(0, len(path) - cycles + 1, 50)
+    starts = np.arange(0, len(path) - cycles + 1, 24)
     at = starts[:, None] + np.arange(cycles)
     torque = np.concatenate([np.zeros((1, tau.shape[1])), tau])
     period = trajectory.arm.period_s
@@ -86,7 +86,7 @@ def test_rigid_joints_stay_on_the_simulators_run(rigid: tuple[int, ...]) -> None
     arm, model, scenario = example()
     joints = tuple(replace(j, stiffness=Quantity(np.inf)) if i in rigid else j for i, j in enumerate(model.joints))
     run = trajectory_of(
-        arm, replace(model, joints=joints), scenario, noise=False, duration_s=3.5, rtol=1e-10, atol=1e-12
+        arm, replace(model, joints=joints), scenario, noise=False, duration_s=DURATION_S, rtol=1e-10, atol=1e-12
     )
     error = away(run, CYCLES)
     print(f"{error:.1e}")
@@ -115,7 +115,7 @@ def test_converges_with_order_4(effects: object) -> None:
     # a lag of half a period cuts it into halves whose steps double alike
     listed = tuple(replace(one, value=0.025) if "lag" in one.kind.key else one for one in effects(arm))
     slow = replace(scenario, controller=replace(scenario.controller, gain=0.2))
-    run = trajectory_of(arm, replace(model, effects=listed), slow, noise=False, duration_s=26.0, rtol=1e-12, atol=1e-14)
+    run = trajectory_of(arm, replace(model, effects=listed), slow, noise=False, duration_s=14.0, rtol=1e-12, atol=1e-14)
     errors = [away(run, 20, factor) for factor in (2, 4, 8)]
     print(" ".join(f"{x:.2e}" for x in errors))
     assert errors[2] > 1e-11
@@ -170,7 +170,7 @@ def test_stiff_joints_do_not_blow_up(stiffness: float) -> None:
     dynamics = PlanarDynamics.from_model(arm, with_drives(model, stiffness=stiffness))
     start = np.array([[0.01, 0.3, -1.0, 0.3, -1.0, 0.1, -0.2, 0.1, -0.2]])
     steps = substeps(dynamics, start[:, 1:3], 0.005)
-    states, _ = replay(dynamics, 0.005, start, lambda k, _: np.zeros((1, 2)), np.zeros((1, 2)), 100, steps)
+    states, _ = replay(dynamics, 0.005, start, lambda k, _: np.zeros((1, 2)), np.zeros((1, 2)), 40, steps)
     s = State.unpacked(states[0])
     energy = dynamics.kinetic_energy(s.q, s.base, s.qd, s.thetad) + dynamics.elastic_energy(s.q, s.theta)
     assert energy[-1] <= energy[0] * (1.0 + 1e-9)
@@ -191,7 +191,7 @@ def test_late_latches_are_read_as_the_simulator_reads_them(late: tuple[int, int,
         for j in arm.joints
     )
     arm = replace(arm, joints=joints, imu=replace(arm.imu, latch_us=late[2]))
-    run = trajectory_of(arm, model, scenario, noise=False, duration_s=1.0, rtol=1e-10, atol=1e-12)
+    run = trajectory_of(arm, model, scenario, noise=False, duration_s=0.5, rtol=1e-10, atol=1e-12)
     q, theta, omega0 = exact_readings(run.dynamics, arm, packed(run)[None], run.tau)
     # of what a sensor reads; each is far below its noise (1.7e-6 rad, 1e-5 rad/s)
     for got, want, tolerance in (

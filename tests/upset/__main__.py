@@ -17,6 +17,7 @@ import numpy as np
 from conftest import ROOT
 from upset.campaign import CAMPAIGNS, OUTCOMES, fly, members
 from zygos.files.output import write_json, write_text
+from zygos.report.provenance import measured_commit
 
 DOCUMENT = ROOT / "docs" / "upset.md"
 BEGIN, END = "<!-- make upset writes this -->\n", "<!-- to here -->"
@@ -47,7 +48,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
     trials = sum(result["trials"] for result in results.values())
     silent = sum(result["count"]["silent"] for result in results.values())
     share = f"{silent} were silent: a share of {silent / trials:.1e}." if silent else "none was silent."
-    lines += ["", f"Of {trials:,} trials, {share}", ""]
+    lines += ["", f"Of {trials:,} trials, {share} Measured with commit {measured_commit()}.", ""]
     hits = [one for result in results.values() for one in result["members"].values() if one]
     lines += ["| arm | member of `zygos_t` | silent | crash or hang |", "| --- | --- | --- | --- |"] if hits else []
     for name, result in results.items():
