@@ -44,7 +44,7 @@ def assert_same(came: list[can.Message], sent: list[can.Message]) -> None:
 
 
 def test_every_frame_comes_back_in_order_and_the_kernel_counted_it() -> None:
-    sent = random_frames(3_000, seed=1)
+    sent = random_frames(10_000, seed=1)
     before = kernel_counts(CHANNEL)
     came = transfer(sent, CHANNEL)
     assert kernel_counts(CHANNEL) - before == KernelCounts(sent=len(sent), received=len(sent), dropped=0)
@@ -53,7 +53,7 @@ def test_every_frame_comes_back_in_order_and_the_kernel_counted_it() -> None:
 
 def test_candump_saw_the_same(tmp_path: Path) -> None:
     """can-utils is the third party: it shares no code with either end."""
-    sent = random_frames(1_000, seed=2)
+    sent = random_frames(2_000, seed=2)
     log = tmp_path / "candump.log"
     before, already = kernel_counts(CHANNEL), listeners()
     with log.open("w", encoding="ascii") as file:

@@ -7,6 +7,7 @@ A run is kept in build/runs under a digest of all that it depends on: the argume
 from __future__ import annotations
 
 import ast
+import contextlib
 import hashlib
 import os
 import pickle
@@ -29,7 +30,7 @@ from zygos.simulation.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 HARNESS = ROOT / "harness"
-FOLDER = Path(os.environ.get("ZYGOS_RUNS", ROOT / "build" / "runs"))
+FOLDER = Path(os.environ.get("ZYGOS_RUNS", ROOT / "build" / "runs")).resolve()
 SIMULATOR = tuple(
     f"zygos.{name}" for name in "simulation.plant dynamics.engines.mujoco dynamics.engines.pinocchio".split()
 )
@@ -63,10 +64,11 @@ def kept(compute: Callable[[], Any], modules: tuple[str, ...], *arguments: Any) 
         out = pickle.loads(path.read_bytes())
     else:
         out = compute()
-        _make(path.parent)
-        partial = path.with_name(f"{path.name}.{os.getpid()}")
-        partial.write_bytes(pickle.dumps(out, protocol=5))
-        partial.replace(path)
+        with contextlib.suppress(OSError):  # a checkout that cannot be written, as in a guest, keeps nothing
+            _make(path.parent)
+            partial = path.with_name(f"{path.name}.{os.getpid()}")
+            partial.write_bytes(pickle.dumps(out, protocol=5))
+            partial.replace(path)
     _freeze(out)
     _recent[path] = out
     if len(_recent) > LARGEST:
