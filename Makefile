@@ -131,8 +131,7 @@ coverage: build node $(VENV)/.test ## the quick tests and some slow ones, counti
 times: ## write the table of docs/testing.md from the last `make test-all`
 	$(BIN)/python tools/test_times.py $${ZYGOS_OUT:-out}/tests.json docs/testing.md
 
-KERNEL_TESTS := tests/unit/test_c_equals_numpy.py tests/unit/test_effects.py tests/unit/test_any_arm.py tests/unit/test_motors.py \
-    tests/unit/test_momentum_sums.py tests/statistics/test_noise.py tests/statistics/test_honesty.py tests/bus/test_cli.py
+KERNEL_TESTS := $(addprefix tests/unit/test_,c_equals_numpy.py effects.py any_arm.py momentum_sums.py) tests/statistics/test_noise.py
 kernels: build node $(VENV)/.test ## C against numpy under two more sets of BLAS and numpy kernels (other processors' rounding)
 	$(BIN)/python tools/with_kernels.py $(BIN)/python -m pytest -n auto --dist loadfile -m "not slow" $(KERNEL_TESTS)
 

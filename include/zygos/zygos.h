@@ -113,8 +113,8 @@ typedef struct {
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
 /// Identifies the memory layout, the same on processors of 32 and of 64 bits: of zygos_solver_t, which has pointers and
-/// is in no snapshot, ZYGOS_LAYOUT counts and not the size. It differs between builds whose structs differ in layout, by
-/// their capacities or by the compiler. The caller writes it into zygos_config_t.abi, and zygos_init() compares it
+/// is in no snapshot, ZYGOS_LAYOUT counts and not the size. It differs between builds whose structs differ in layout,
+/// by their capacities or by the compiler. The caller writes it into zygos_config_t.abi, and zygos_init() compares it
 /// with that of the library. It is also in the head of a snapshot.
 #define ZYGOS_ABI                                                                                                      \
     ZYGOS_MIX(                                                                                                         \
