@@ -56,7 +56,7 @@ def test_names_an_effect_and_closes_the_gap(name: str) -> None:
     assert abs(found.findings[0].value / size - 1.0) < 0.02
 
 
-@pytest.mark.slow(but=["motor_viscous elbow"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["motor_coulomb shoulder", "motor_viscous elbow", "flexibility"])
 def test_names_an_effect_with_coarse_sensors(name: str) -> None:
     found = judge("lively", name)

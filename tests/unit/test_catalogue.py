@@ -115,7 +115,7 @@ def sized(name: str, column: EffectColumn) -> float:
     return value
 
 
-QUICK = ("backlash", "ripple_sin", "gyro_bias", "link_late")
+QUICK = ("ripple_sin", "gyro_bias", "link_late")
 
 
 def quick(case: tuple[str, str, EffectColumn]) -> bool:

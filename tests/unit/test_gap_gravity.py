@@ -14,7 +14,7 @@ from zygos.can.run import Run
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.verdicts import WrongGravity
 
-SECONDS = 6.0
+SECONDS = 4.0
 WEIGHT = (0.0, 0.0, -9.81)
 TRIALS = {"pendulum": pendulum, "six": six}
 

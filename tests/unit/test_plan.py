@@ -155,7 +155,7 @@ def test_expected_sigmas_are_the_scatter_of_estimates(
     runs alone count."""
     arm, model, _, scenario, expectation = planned
     arm = replace(arm, torque_law=law)
-    runs = 24
+    runs = 12
     trajectory = trajectory_of(arm, model, scenario, seeds=range(runs), rtol=1e-8, atol=1e-10)
     values = np.array(
         [

@@ -67,7 +67,6 @@ def lagging(arm: Arm) -> tuple[Effect, ...]:
 
 
 @pytest.mark.parametrize(("effects", "tolerance"), [
-    (lambda _: (), 1e-9),
     (smooth, 1e-9),
     (lagging, 1e-9),
     # within a step a fixed step does not see the corner of Coulomb friction at a turn of the motion

@@ -90,7 +90,7 @@ LAWS = [
 def test_a_size_is_that_of_the_column(law: Law) -> None:
     """A law with the column's form has its own size; another form has one near it, and not the same."""
     trial = ARMS["planar"]()
-    motion = TreePlant(trial.arm, as_built(trial, 0)).run(trial.scenarios[0], (law,), duration_s=3.0)
+    motion = TreePlant(trial.arm, as_built(trial, 0)).run(trial.scenarios[0], (law,), duration_s=2.0)
     found = projected(law, [motion], 0) / law.size
     if law.exact:
         assert found == pytest.approx(1.0, abs=1e-9)
