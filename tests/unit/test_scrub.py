@@ -257,6 +257,24 @@ def test_what_two_flipped_bits_change_is_not_used(seed: int, name: str) -> None:
     assert refused > 10
 
 
+def test_much_of_what_changes_from_cycle_to_cycle_is_under_a_check() -> None:
+    """Integrals, counts and places: the next cycle is refused, and only open arcs are lost."""
+    begin, states, stopped, of_all = start("open arcs"), [], 0, 0
+    flight = copy_of(begin.flight)
+    for k in range(4):
+        states.append(copy_of(flight))
+        begin.feed(flight, k, k + 1)
+    for place in one_of_each(begin.flight.native, np.random.default_rng(0), without=("config", "receiver")):
+        if len({place.values(state.native)[0] for state in states}) >= 3:
+            ffi.memmove(flight.native, begin.flight.native, SIZE)
+            place.flip(flight.native, place.bits(np.random.default_rng(1), 2)[1])
+            of_all += 1
+            if begin.feed(flight, 0, 1) < 0:
+                stopped += 1
+                assert scrubbed(flight, begin.own, place) & PLACES
+    assert stopped >= 0.25 * of_all > 5
+
+
 def test_sums_that_do_not_match_are_left_out_and_no_others() -> None:
     begin = start("open arcs")
     flight, own, before, dropped = copy_of(begin.flight), begin.own, begin.flight.estimate(), 0
