@@ -265,13 +265,13 @@ def test_rows_that_wait_are_in_the_sums_whatever_was_added_of_them(joints: int, 
 
 
 def test_void_cycles_drop_the_segment_that_is_filled_and_no_other() -> None:
-    known = random_ground(3, "spatial", 3000)
+    known = random_ground(2, "spatial", 1800)
     cycles = known.cycles()
     flight = Flight(known.arm)
-    flight.cycles(part(cycles, 0, 2500))
+    flight.cycles(part(cycles, 0, 1500))
     before = sum(count for _, count in flight.blocks().joints)
-    cycles.flags[2500] = BREAK_BEFORE | VOID_BEFORE | 5 << VOID_SHIFT
-    flight.cycles(part(cycles, 2500, 2501))
+    cycles.flags[1500] = BREAK_BEFORE | VOID_BEFORE | 5 << VOID_SHIFT
+    flight.cycles(part(cycles, 1500, 1501))
     after = sum(count for _, count in flight.blocks().joints)
     assert 0.6 * before < after < before
 
