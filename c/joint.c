@@ -176,7 +176,7 @@ static void form_row(zygos_joint_t *self, const zygos_config_t *config, const zy
     zygos_joint_integrals_t *older = &self->half[self->oldest];
     const zygos_joint_integrals_t *newer = &self->half[after(self->oldest)];
     zygos_joint_end_t *begin = &self->ends[self->newest][j];
-    zygos_joint_end_t end;
+    zygos_joint_end_t end = { 0 }; /* copied whole below: unused entries are no remains of the stack */
     const bool rigid = (config->joint[j].rigid != 0);
     momentum_of(self, config, column_map, j, end.momentum);
     end.deflection = self->state.theta[j] - self->state.q[j];

@@ -120,6 +120,9 @@ class Model:
 
     def base_values(self, arm: Arm) -> NDArray[np.float64]:
         """(p,) base parameters in the order of `arm.parameter_names`, SI units. Errors as `base_parameters`."""
+        if self.bodies:
+            self.check_fits(arm)
+            return self.unchecked_values(arm)
         return np.array([quantity.value for quantity in self.base_parameters(arm).values()])
 
     def unchecked_values(self, arm: Arm) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ shared with the flight library.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,11 +51,13 @@ class Smoothed:
     bandwidth: Floats
 
 
+@cache
 def coefficients(points: int, order: int, offset: float = 0.0, derivative: int = 0) -> Floats:
     """Weights c, shape (points,), oldest sample first, of a Savitzky-Golay filter.
 
     c @ x is the `derivative`-th derivative (per sample) of the polynomial of degree `order` fitted to the samples at
-    -M .. M, evaluated at `offset` samples from the middle. Savitzky & Golay 1964.
+    -M .. M, evaluated at `offset` samples from the middle. Savitzky & Golay 1964. The array is read-only, because
+    calls with equal arguments share it.
 
     Raises ZygosError where the window is even or too short for the order.
     """
@@ -74,6 +77,7 @@ def coefficients(points: int, order: int, offset: float = 0.0, derivative: int =
         factor = np.prod(np.arange(power - derivative + 1, power + 1, dtype=np.float64))
         reader[power] = factor * (offset / half) ** (power - derivative) / half**derivative
     weights: Floats = reader @ fit
+    weights.flags.writeable = False
     return weights
 
 
