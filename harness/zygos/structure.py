@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,6 +117,7 @@ class Structure:
         return tuple(one for one, column in zip(self.candidates, self.groups.T, strict=True) if not column.any())
 
 
+@lru_cache(maxsize=128)
 def structure_of(arm: Arm) -> Structure:
     """The structure of an arm. Errors: ZygosError if it is not clear which directions of its parameters are null."""
     full = arm.full_parameters

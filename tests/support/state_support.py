@@ -132,6 +132,24 @@ def sums(native: Any, rng: np.random.Generator, each: int = 3) -> list[Place]:
     return out
 
 
+def beside_sums(native: Any, rng: np.random.Generator, each: int = 2) -> list[Place]:
+    """Numbers of the elements of an array of structs that have sums: how many rows these are of, and the like. Of each
+    member that of some elements, those in use before the others; of a short array an entry."""
+    element = re.compile(r"[^\[]*\[\d+\]")
+    numbers = [leaf for group in members().values() for leaf in group if leaf.kind == "double"]
+    inside = [(leaf, at[0]) for leaf in numbers if (at := element.match(leaf.path))]
+    with_sums = {at for leaf, at in inside if leaf.count > 8 * SUMS}
+    places = defaultdict(list)
+    for leaf, at in inside:
+        if at in with_sums and leaf.count <= SUMS:
+            places[leaf.member].append(leaf)
+    out = []
+    for group in places.values():
+        few = sorted((group[k] for k in rng.permutation(len(group))), key=lambda leaf: not len(used(native, leaf)))
+        out += [Place(leaf, int(rng.integers(leaf.count))) for leaf in few[:each]]
+    return out
+
+
 def config_of_its_own(flight: Flight) -> Any:
     """The caller's own configuration, as zygos_scrub() wants it."""
     return ffi.new("zygos_config_t *", flight.native.config)

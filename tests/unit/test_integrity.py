@@ -9,7 +9,7 @@ import pytest
 from flight_support import copy_of, part
 from motion_support import random_ground
 from soak_support import again, fly, stored, with_short_arcs
-from state_support import Place, config_of_its_own, one_of_each, sums
+from state_support import Place, beside_sums, config_of_its_own, one_of_each, sums
 
 from zygos.arm import Arm
 from zygos.model.model import Model
@@ -124,6 +124,27 @@ def test_a_sum_that_is_not_a_number_is_refused(flight: Flight, value: float) -> 
         found = flight.estimate()
         number[0] = kept
         assert found.reason == CORRUPT or harmless(found, before), place
+
+
+@pytest.mark.parametrize("name", ["flight", "ground"])
+@pytest.mark.parametrize("value", [-1.0, np.nan, 1e300])
+def test_an_impossible_number_beside_sums_is_refused(value: float, name: str, request: pytest.FixtureRequest) -> None:
+    """Such as a count of rows. What is loaded may have any number there, and zygos_check() finds what is refused."""
+    fixture = request.getfixturevalue(name)
+    flight: Flight = fixture if name == "flight" else fixture[0]
+    own, work = config_of_its_own(flight), ffi.new("zygos_work_t *")
+    before, found = flight.estimate(), 0
+    places = beside_sums(flight.native, np.random.default_rng(0))
+    for place in places:
+        number = place.values(flight.native)
+        kept = number[0]
+        number[0] = value
+        after, verdict = flight.estimate(), lib.zygos_check(flight.native, own, work)
+        number[0] = kept
+        assert after.validity == "refused" or harmless(after, before), place
+        assert verdict < 0 or after.reason != CORRUPT, place
+        found += verdict < 0
+    assert found > 0.4 * len(places)
 
 
 def resting(flight: Flight, next_ones: Cycles, places: list[Place], cycles: int) -> list[bool]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -177,7 +177,7 @@ def _telemetry(shipped: Database, arm: Arm, effects: Sequence[Effect]) -> Messag
         for end, kind in _OF_PARAMETERS.items():
             if kind in left_out:
                 continue
-            signal = deepcopy(likes[f"a00{end}"])
+            signal = copy(likes[f"a00{end}"])  # no part of it is changed, only which it has
             signal.name, signal.unit = f"{ascii_name(name)}{end}", unit
             signal.comment = str(signal.comment).replace("a00", name) if end else comment
             if end == "_sigma" and name in columns:
