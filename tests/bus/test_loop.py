@@ -52,7 +52,6 @@ def test_the_loop_closes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.usefixtures("brief")
-@pytest.mark.slow
 def test_nothing_is_adopted_that_was_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flown: list[str] = []
 

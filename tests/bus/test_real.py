@@ -29,37 +29,18 @@ def in_process(command: list[str], **_: object) -> SimpleNamespace:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Content, int]:
-    """The folder, the JSON and the exit code. What the published model lacks is told by a slow test."""
+    """The folder, the JSON and the exit code."""
     folder = tmp_path_factory.mktemp("real")
-    untold = SimpleNamespace(gap=None, answer="", sentence="")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
         patch.delenv("CI", raising=False)
         patch.setattr(real.subprocess, "run", in_process)
-        patch.setattr(real, "explained", lambda *_: untold)
         code = 0
         try:
             real.main(["--folder", str(folder), "--kr300", str(KR300)])
         except SystemExit as end:
             code = int(end.code or 0)
     return folder, json.loads((folder / "real.json").read_text()), code
-
-
-@pytest.mark.slow
-def test_what_a_published_model_without_friction_lacks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(real.subprocess, "run", in_process)
-    with pytest.raises(SystemExit) as end:
-        real.main(["--folder", str(tmp_path), "--kr300", str(KR300)])
-    assert not end.value.code
-    said = capsys.readouterr().out
-    assert "the gap of the published model without friction" in said
-    assert "Coulomb friction" in said
-    assert {"gap.html", "gap.svg", "learned.toml", "real.html", "real.json"} <= {
-        path.name for path in tmp_path.iterdir()
-    }
 
 
 def held_out(content: Content, recording: str, joint: str) -> Content:
@@ -103,6 +84,13 @@ def test_the_answer_says_what_it_cannot_and_ends_accordingly(made: tuple[Path, C
     assert "what is left is not noise" in content["reason"]
     assert code == (0 if content["good"] else 3)
     assert content["good"] == all(one["good"] for one in content["held_out"])
+
+
+def test_what_the_published_model_lacks_without_friction_is_told(made: tuple[Path, Content, int]) -> None:
+    folder, _, _ = made
+    assert "Coulomb friction" in (folder / "gap.html").read_text()
+    picture = (folder / "gap.svg").read_text()
+    assert "torque of the elbow in recording 03" in picture and "with what was found" in picture
 
 
 def test_the_page_is_whole(made: tuple[Path, Content, int]) -> None:
