@@ -501,7 +501,6 @@ def test_refinement_is_asked_of_the_first_seeds_of_planar_arms() -> None:
     assert [seed for seed in range(20) if one.takes(seed, 0)] == list(range(10)) and not one.takes(0, 1)
 
 
-@pytest.mark.slow
 def test_what_refinement_does_not_publish_is_refused() -> None:
     """Torques that are noisier than declared: the rule is named, and nothing is counted."""
     case = CASES["torque-1"]
@@ -559,7 +558,6 @@ def test_figure_4_has_the_torques_of_the_paper(pictured: Path, arm: Arm, model: 
     assert off["flight"] < 0.1 * min(off[PRINTED], off["+10 %"], off["−10 %"])
 
 
-@pytest.mark.slow
 def test_figure_4_says_what_it_cannot_draw(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     """In ten seconds the arm does not show all its parameters."""
     monkeypatch.setattr(response, "DURATION_S", 20.0)

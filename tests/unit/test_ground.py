@@ -346,14 +346,13 @@ def test_refusals() -> None:
         score(first, model, cutoff=1e4)
 
 
-@pytest.mark.slow
 def test_a_floating_arm_with_springs_is_scored_by_increments() -> None:
     """Friction that the model lacks is the torque that is left at its joint, and a wrong spring is left at the spring
     alone: the sum of the balances of rotor and link is free of it."""
     arm, model = load_arm(EXAMPLES / "gap" / "arm.toml"), load_model(EXAMPLES / "lively" / "model.toml")
     friction = 0.5
     true = replace(model, effects=(replace(effect("motor_coulomb", "elbow"), value=friction),))
-    run = simulate(arm, true, load_scenario(EXAMPLES / "lively" / "scenario.toml"), noise=True, duration_s=20.0)
+    run = simulate(arm, true, load_scenario(EXAMPLES / "lively" / "scenario.toml"), noise=True, duration_s=12.0)
     stiff = replace(
         true,
         joints=tuple(
