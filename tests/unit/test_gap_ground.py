@@ -22,6 +22,8 @@ from zygos.gap.ground.answer import as_json
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.page import write_ground_gap_report
+from zygos.gap.verdicts import PlainEstimate
+from zygos.ground.score import score
 from zygos.model.model import Model, Quantity
 from zygos.report.provenance import provenance
 from zygos.reports import write_report
@@ -44,9 +46,9 @@ def _lacking(laws: Sequence[Law] | Law = nothing, **options: Any) -> GroundExpla
 
 
 @cache
-def _cubic() -> GroundExplanation:
+def _bent() -> GroundExplanation:
     """What is said of a friction that is not quite any of the catalogue."""
-    return _lacking(lambda q, qd: 0.1 * size() * qd**3)
+    return _lacking(lambda q, qd: 0.1 * size() * (qd + 0.5 * qd**3))
 
 
 def _sizes(x: GroundExplanation) -> dict[str, float]:
@@ -122,12 +124,31 @@ def test_an_offset_that_stays_at_rest_is_an_offset() -> None:
 
 
 def test_a_law_that_is_not_exactly_that_of_the_catalogue_is_named_in_part() -> None:
-    x = _cubic()
+    x = _bent()
     assert x.answer == "part named", x.sentence
     assert list(_sizes(x)) == ["motor_viscous"]
     (rest,) = x.verdict.left  # type: ignore[union-attr]
     assert rest.over == "rate"
     assert rest.size > 3.0 * rest.floor
+
+
+def test_a_law_with_which_most_of_an_untouched_run_is_predicted_worse_is_not_adopted() -> None:
+    """Viscous friction in the place of a cube of the rate helps fast stretches, and spoils the others. What decided is
+    what is told."""
+    x = _lacking(lambda q, qd: 0.1 * size() * qd**3)
+    assert (x.answer, x.findings) == ("plain estimate", ()), x.sentence
+    assert isinstance(x.verdict, PlainEstimate)
+    assert [finding.kind for finding in x.verdict.findings] == ["motor_viscous"]
+    failed = next(check for check in x.verdict.failed if check.name.startswith("the median error of the torques"))
+    assert failed.found > failed.highest
+    assert x.verdict.failed[0].sentence in x.sentence
+    # the model that is written is the one that is reported and that predicts
+    assert x.model is not None and x.gap is not None
+    (one,) = x.gap.predictions
+    assert score(one.run, x.model).arm_energy_share == pytest.approx(one.closed.arm_energy_share)
+    assert {value.name: value.found for value in x.values} == {
+        name: value.value for name, value in x.model.base_parameters(x.arm).items()
+    }
 
 
 @pytest.mark.slow(but=["0.38-*"])
@@ -226,7 +247,7 @@ def test_what_is_no_arm_on_the_ground_is_refused() -> None:
 
 
 def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
-    x = _cubic()
+    x = _bent()
     source = provenance(["explain"], [])
     write_ground_gap_report(tmp_path / "gap.html", x, source)
     page = (tmp_path / "gap.html").read_text()
@@ -256,8 +277,10 @@ def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_pa
         for name, unit in zip(arm.parameter_names, arm.parameter_units, strict=True)
     }
     x = explain_ground(arm, Model("published without friction", parameters=base), runs[:3], runs[3:])
-    assert x.answer == "part named", x.sentence
-    found = {(f.kind, f.joint): f for f in x.findings}
+    # the torques are predicted as well as by the plain estimate, and the work of recording 03 is not
+    assert isinstance(x.verdict, PlainEstimate), x.sentence
+    assert all("the work in one second" in check.name for check in x.verdict.failed)
+    found = {(f.kind, f.joint): f for f in x.verdict.findings}
     assert set(found) == {
         ("motor_coulomb", "shoulder"),
         ("motor_coulomb", "elbow"),
@@ -271,5 +294,3 @@ def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_pa
     assert shares[0][1] < 0.15
     assert shares[1][0] > 0.35
     assert shares[1][1] < 0.18
-    left = {rest.where: rest.size for rest in x.verdict.left}  # type: ignore[union-attr]
-    assert left["the shoulder in 03"] == pytest.approx(0.1, abs=0.02)

@@ -214,7 +214,7 @@ def test_values_differ_leads_with_the_values(tmp_path: Path, friction: Explanati
 
 def test_unknown_adopts_nothing(tmp_path: Path, friction: Explanation) -> None:
     verdict = Unexplained(3.0, ("motor_coulomb2",), 0.7, friction.findings)
-    found = replace(friction, verdict=verdict, findings=(), model=None, remarks=(NoFloor("a remark"),))
+    found = replace(friction, verdict=verdict, findings=(), adopted=None, remarks=(NoFloor("a remark"),))
     page = Page(tmp_path, found)
     sound(page)
     assert "Part of it looks like Coulomb friction at the motor (elbow)" in page.text
@@ -227,7 +227,7 @@ def test_a_run_that_is_not_predicted_is_unknown_though_every_balance_closes(
     tmp_path: Path, friction: Explanation
 ) -> None:
     lost = Unpredicted("run_c.blf", 67.7, 9.25)
-    found = replace(nothing(friction), verdict=lost, model=None)
+    found = replace(nothing(friction), verdict=lost, adopted=None)
     page = Page(tmp_path, found)
     sound(page)
     assert found.answer == "unknown"
@@ -262,7 +262,7 @@ def test_cannot_tell_names_the_set_and_the_experiment(tmp_path: Path, friction: 
         findings=(finding,),
         search=search,
         experiments=experiments,
-        model=None,
+        adopted=None,
     )
     page = Page(tmp_path, found)
     sound(page)
@@ -273,7 +273,7 @@ def test_cannot_tell_names_the_set_and_the_experiment(tmp_path: Path, friction: 
 def test_timing_first_and_no_untouched_run(tmp_path: Path, friction: Explanation) -> None:
     bent = Deflection("elbow", 1e-4, 1e-6, 0.003, 0.99)
     skewed = SkewedEncoders("elbow", 0.003)
-    found = replace(nothing(friction), verdict=skewed, search=None, gap=None, model=None, deflections=(bent,))
+    found = replace(nothing(friction), verdict=skewed, search=None, gap=None, adopted=None, deflections=(bent,))
     page = Page(tmp_path, found)
     sound(page)
     assert page.gap == []

@@ -254,7 +254,7 @@ def finish(
             write_json(
                 json, {**content, "next_motion": planned_json(motion), "flight": flight, "damage": damage or None}
             )
-    if found.answer in {"unknown", "cannot tell"}:
+    if found.model is None:
         raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from zygos.gap.adopted import Adopted
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Finding, Gap, Value
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
 from zygos.gap.simulated import Simulated
-from zygos.gap.verdicts import Changed, PartNamed, Verdict, ZerosOff
+from zygos.gap.verdicts import Changed, NotAdmissible, PartNamed, PlainEstimate, Verdict, ZerosOff
 from zygos.plan.separating import Separating
 from zygos.report.provenance import Provenance
 
@@ -96,6 +97,23 @@ def remainders_json(verdict: Verdict) -> list[dict[str, Any]]:
     ]
 
 
+def checks_json(adopted: Adopted | None, verdict: Verdict) -> list[dict[str, Any]]:
+    """What decided whether a model is written: the checks that failed, then those that the written one passed."""
+    failed = verdict.failed if isinstance(verdict, PlainEstimate | NotAdmissible) else ()
+    return [
+        {
+            "name": one.name,
+            "unit": one.unit,
+            "found": one.found if math.isfinite(one.found) else None,
+            "lowest": one.lowest if math.isfinite(one.lowest) else None,
+            "highest": one.highest if math.isfinite(one.highest) else None,
+            "beside": one.beside or None,
+            "holds": one.holds,
+        }
+        for one in (*failed, *(() if adopted is None else adopted.checks))
+    ]
+
+
 def change_json(verdict: Verdict) -> dict[str, Any] | None:
     """What changed and when; None where the answer is another."""
     if not isinstance(verdict, Changed):
@@ -135,6 +153,7 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
         "partly": found.partly or None,
         "left": remainders_json(found.verdict),
         "change": change_json(found.verdict),
+        "checks": checks_json(found.adopted, found.verdict),
         "gap": gap
         and {
             "unit": "sigma",

@@ -17,6 +17,7 @@ from zygos.dynamics.equations import from_model, from_parameters, parameters
 from zygos.dynamics.joints import Drives
 from zygos.effects import CATALOGUE, OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
+from zygos.gap.adopted import Adopted, Check, NotAdopted, no_worse
 from zygos.gap.balances import GAIN, Acting, Layout, acting, corrected
 from zygos.gap.changes import BODIES, Change, find_change, settled
 from zygos.gap.experiment import Experiment, propose
@@ -39,7 +40,7 @@ from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.form import form_sigma
 from zygos.gap.payload import SYSTEMATIC, PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
-from zygos.gap.remainder import CLOSED, closes, far_off, remainders, unclosed
+from zygos.gap.remainder import CLOSED, allowed_by, closes, closes_by_noise, far_off, remainders, unclosed
 from zygos.gap.search import (
     COMPLETE,
     PARTLY,
@@ -86,10 +87,12 @@ from zygos.gap.verdicts import (
     LateTorques,
     NearestArm,
     NoFloor,
+    NotAdmissible,
     NothingMissing,
     NotPredicted,
     NoUntouchedRun,
     PartNamed,
+    PlainEstimate,
     Remark,
     RunsDisagree,
     SkewedEncoders,
@@ -141,9 +144,11 @@ def explain(
     validate: Sequence[MeasuredRun],
     step: Callable[[float, str], None] = lambda share, what: None,
     without: Sequence[str] = (),
+    plain: Model | None = None,
 ) -> Explanation:
     """Say what a simulation lacks. measured: two runs at least. validate: runs that are kept apart. step is told the
-    share done and what is being done. without: keys of effects that are not tried.
+    share done and what is being done. without: keys of effects that are not tried. plain: the estimate of
+    `zygos estimate` from the measured runs, if there is one.
 
     What the simulation says of springs' offsets is passed over: each run has its own zeros.
     Errors: ZygosError where the model does not fit the arm; Undecided where the runs do not tell its parameters apart.
@@ -151,7 +156,7 @@ def explain(
     simulation = replace(simulation, effects=tuple(e for e in simulation.effects if e.kind.key != OFFSET))
     # the matrices are narrow: threads only get in each other's way
     with threadpool_limits(limits=1):
-        return _Explainer(simulation, tuple(measured), tuple(validate), step, tuple(without)).explain()
+        return _Explainer(simulation, tuple(measured), tuple(validate), step, tuple(without), plain).explain()
 
 
 class _Told(NamedTuple):
@@ -176,8 +181,9 @@ class _Explainer:
         validate: tuple[MeasuredRun, ...],
         step: Callable[[float, str], None],
         without: tuple[str, ...],
+        plain: Model | None = None,
     ) -> None:
-        self.without = without
+        self.without, self.plain = without, plain
         self.simulation, self.measured, self.validate, self.step = simulation, measured, validate, step
         self.declared = self.known = measured[0].arm
         """As its file says; and with the noise of the torques of which there is more evidence than that it would
@@ -237,14 +243,14 @@ class _Explainer:
             self.remarks.append(DrawingPredictsBetter())
         self.step(0.9, "verdict")
         local = refit.local()
-        experiments: tuple[Experiment, ...] = ()
-        if isinstance(verdict, Inseparable) and found is not None:
-            pair = next(names for names in found.sets if len(names) > 1)
-            experiments = propose(found.after, pair[0], pair[1])
+        experiments = self._experiments(found, verdict)
         kept = verdict.findings if isinstance(verdict, Lacking | PartNamed | Inseparable) else ()
-        adopted = isinstance(verdict, Lacking | PartNamed | Changed | ValuesDiffer | NothingMissing)
-        if adopted:
+        adopted: Adopted | None = None
+        if isinstance(verdict, Lacking | PartNamed | Changed | ValuesDiffer | NothingMissing):
             self._remark_rest(after, kept, gap)
+            adopted, verdict, gap = self._through_the_gate(after, values, kept, verdict, gap)
+            if isinstance(verdict, PlainEstimate | NotAdmissible):
+                kept = ()
         return Explanation(
             arm,
             self.simulation,
@@ -258,10 +264,17 @@ class _Explainer:
             experiments,
             gap,
             local,
-            self._adopt(after, values, kept) if adopted else None,
+            adopted,
             tuple(self.remarks),
             self.validate,
         )
+
+    def _experiments(self, found: Search | None, verdict: Verdict) -> tuple[Experiment, ...]:
+        """Motions that would tell a set apart, best first."""
+        if not isinstance(verdict, Inseparable) or found is None:
+            return ()
+        pair = next(names for names in found.sets if len(names) > 1)
+        return propose(found.after, pair[0], pair[1])
 
     def _told(
         self,
@@ -760,12 +773,13 @@ class _Explainer:
         """Whether effects are all that is missing, or a part of it, or only look like it."""
         most, apart_by = float(np.nanmax(found.after.excess)), unsteady(found)
         closed = closes(gap) if gap is not None else most <= SMALL
-        if min(found.completeness) >= COMPLETE and closed and not apart_by:
+        unsigned = tuple(finding for finding in findings if not finding.signed)
+        known = not unsigned or gap is None or closes_by_noise(gap)
+        if min(found.completeness) >= COMPLETE and closed and known and not apart_by:
             return Lacking(findings)
         apart = _explains_more_apart(found)
         if apart is not None:
             return Unexplained(most, (apart.name,), apart.complete, ())
-        unsigned = tuple(finding for finding in findings if not finding.signed)
         if unsigned:
             return Unexplained(
                 most, tuple(one.name for one in found.named), min(found.completeness), (), unsigned=unsigned
@@ -868,10 +882,62 @@ class _Explainer:
                 out.append(Disagreement(name, float(each[i, k]), float(each[j, k])))
         return tuple(out)
 
-    def _adopt(self, study: Study, values: tuple[Value, ...], findings: tuple[Finding, ...]) -> Model:
+    def _through_the_gate(
+        self, study: Study, values: tuple[Value, ...], findings: tuple[Finding, ...], verdict: Verdict, gap: Gap | None
+    ) -> tuple[Adopted | None, Verdict, Gap | None]:
+        """The model that is written, the verdict that goes with it, and the gap with the predictions of this model.
+
+        Where the one with what was found does not pass, it is the simulation's own where nothing is missing, or else
+        that of `zygos estimate`.
+        """
+        errors = sensor_effects(study.hypothesis, study.value)
+        try:
+            found = Adopted(self.arm, self._model(study, values, findings))
+            if gap is None or isinstance(verdict, Changed):
+                # a run may have been recorded before a change, and nobody says so
+                return found, verdict, gap
+            gap = replace(gap, closed=forecast(from_model(self.arm, found.model), gap.segments, errors))
+            return Adopted(self.arm, found.model, self._beside(gap)), verdict, gap
+        except NotAdopted as refused:
+            failed = refused.failed
+        self.remarks = [one for one in self.remarks if not isinstance(one, NearestArm)]
+        others: list[tuple[Model, Verdict]] = (
+            [(self.simulation, verdict)] if isinstance(verdict, NothingMissing) else []
+        )
+        others += [] if self.plain is None else [(self.plain, PlainEstimate(failed, findings))]
+        for model, answer in others:
+            with suppress(Undecided, ZygosError):
+                if gap is None:
+                    return Adopted(self.arm, model), answer, gap
+                told = replace(gap, closed=forecast(from_model(self.arm, model), gap.segments))
+                delivered = [("as delivered", told.delivered)]
+                return Adopted(self.arm, model, self._beside(told, delivered)), answer, told
+        return None, NotAdmissible(failed, findings), gap
+
+    def _beside(self, gap: Gap, baselines: Sequence[tuple[str, Forecast]] = ()) -> tuple[Check, ...]:
+        """The closed model beside the best baseline on each untouched run, in the median over its stretches and in what
+        a tenth of them exceeds. baselines: those that count; by default all."""
+        known = [*baselines]
+        if not known:
+            known = [("as delivered", gap.delivered), ("refit", gap.refit)]
+            if self.plain is not None:
+                with suppress(ZygosError):
+                    known.append(("plain estimate", forecast(from_model(self.arm, self.plain), gap.segments)))
+        checks = []
+        for k, run in enumerate(gap.runs):
+            found, limits = gap.closed.of_run(k), allowed_by(gap, k)
+            each = [(name, one.of_run(k)) for name, one in known]
+            for said, size, limit, sizes in (
+                ("the median error of predictions", found.median, limits[0], [(n, x.median) for n, x in each]),
+                ("the 90th percentile of the errors", found.tenth, limits[1], [(n, x.tenth) for n, x in each]),
+            ):
+                checks.append(no_worse(f"{said} of {run}", "sigma", size, sizes, CLOSED * limit))
+        return tuple(checks)
+
+    def _model(self, study: Study, values: tuple[Value, ...], findings: tuple[Finding, ...]) -> Model:
         """The model with the values and effects that were learned; what it said of other effects is kept."""
         parameters = {
-            v.name: Quantity(v.found, v.sigma if np.isfinite(v.found) else 0.0, "zygos", v.unit)
+            v.name: Quantity(_damping(v), v.sigma if np.isfinite(v.found) else 0.0, "zygos", v.unit)
             for v in values
             if v.name in self.arm.parameter_names
         }
@@ -892,6 +958,12 @@ class _Explainer:
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
+
+
+def _damping(value: Value) -> float:
+    """The value; 0 for a damping that is negative by its noise."""
+    negative = value.unit == "Nms/rad" and -DIFFERS * value.sigma < value.found < 0.0
+    return 0.0 if negative else value.found
 
 
 def _too_quiet(study: Study) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.gap import sentences
+from zygos.gap.adopted import Adopted
 from zygos.gap.experiment import Experiment
 from zygos.gap.findings import Deflection, Finding, Gap, Value
 from zygos.gap.record import MeasuredRun
@@ -41,13 +42,18 @@ class Explanation:
     gap: Gap | None
     local: Array
     """(runs, balances) rho of each balance by itself, before."""
-    model: Model | None
-    """The model with what was learned; None where nothing is to be adopted."""
+    adopted: Adopted | None
+    """The model that is written; None where there is none."""
     remarks: tuple[Remark, ...]
     validated: tuple[MeasuredRun, ...] = ()
     """The runs that were kept apart."""
     simulated: Simulated | None = None
     """Where the simulation's values come from, if it is known by a run alone."""
+
+    @property
+    def model(self) -> Model | None:
+        """The model that is written; None where there is none."""
+        return None if self.adopted is None else self.adopted.model
 
     @property
     def records(self) -> tuple[MeasuredRun, ...]:

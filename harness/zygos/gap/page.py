@@ -87,6 +87,7 @@ _TAGS = {
     "named": "named",
     "part named": "named",
     "changed": "differ",
+    "plain estimate": "differ",
     "values differ": "differ",
     "nothing missing": "nothing",
     "cannot tell": "open",

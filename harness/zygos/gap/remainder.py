@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,20 +46,25 @@ def unclosed(gap: Gap) -> tuple[int, ...]:
 
 def far_off(gap: Gap) -> Unpredicted | None:
     """The untouched run that is predicted worst, where that is beyond all that errors of values and sensors do."""
-    each = [Unpredicted(gap.runs[k], gap.closed.of_run(k).median, _allowed(gap, k)[0]) for k in unclosed(gap)]
+    each = [Unpredicted(gap.runs[k], gap.closed.of_run(k).median, allowed_by(gap, k)[0]) for k in unclosed(gap)]
     far = [one for one in each if one.median > FAR * one.allowed]
     return max(far, key=lambda one: one.median / one.allowed, default=None)
 
 
 def _closes(gap: Gap, run: int) -> bool:
-    found, (median, tenth) = gap.closed.of_run(run), _allowed(gap, run)
+    found, (median, tenth) = gap.closed.of_run(run), allowed_by(gap, run)
     return bool(found.median <= CLOSED * median and found.tenth <= CLOSED * tenth)
 
 
-def _allowed(gap: Gap, run: int) -> tuple[float, float]:
+def allowed_by(gap: Gap, run: int) -> tuple[float, float]:
     """Median and tenth of the closed model on its own twin, with its values and with redrawn ones."""
     each = [one.of_run(run) for one in (gap.floor, *gap.reach)]
     return max(one.median for one in each), max(one.tenth for one in each)
+
+
+def closes_by_noise(gap: Gap) -> bool:
+    """Whether the closed model predicts each untouched run as well as the noise of its readings alone allows."""
+    return closes(replace(gap, reach=()))
 
 
 def remainders(arm: Arm, study: Study, gap: Gap | None) -> tuple[Remainder, ...]:

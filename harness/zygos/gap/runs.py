@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.can.run import Run, check_distinct
+from zygos.can.run import Run, check_distinct, joined
 from zygos.effects import CATALOGUE
-from zygos.errors import ZygosError
+from zygos.errors import Undecided, ZygosError
+from zygos.estimation.estimate import estimate
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
-from zygos.gap.ground.explain import explain_ground
+from zygos.gap.ground.explain import cut, explain_ground
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.next_motion import next_ground_motion, reached_on_ground
 from zygos.gap.next_motion import next_motion, reached
@@ -56,9 +57,10 @@ def explain_runs(
     learned; the gap is measured on them, before and after. without: keys of effects that are not tried. progress is
     called with the share that is done and what is being done.
 
-    `Explanation.answer` is "values differ", "named", "part named", "changed", "cannot tell", "nothing missing" or
-    "unknown"; `sentence` says it in words, `findings` has the effects with value and interval, and `model` is the model
-    with what was learned, or None where nothing is to be adopted.
+    `Explanation.answer` is "values differ", "named", "part named", "changed", "plain estimate", "cannot tell", "nothing
+    missing" or "unknown"; `sentence` says it in words, and `findings` has the effects with value and interval. `model`
+    is the one with what was learned, or that of `zygos estimate` where this one does not pass the checks of
+    `zygos.gap.adopted`, or None.
 
     An arm on a fixed base with rigid joints is explained by the momentum rows of its joints and the scatter between
     blocks and runs, every other arm by its balances beside those of a simulated twin (docs/gap.md).
@@ -94,10 +96,22 @@ def explain_runs(
     check_arm_of_gap(arm, f"arm {arm.name}")
     records = [record_of(run, number) for number, run in enumerate(runs, start=1)]
     learned, apart = records[: len(measured)], records[len(measured) :]
+    own = list(measured)
     if len(learned) == 1:
-        parts = thirds(learned[0], 2 if apart else 3)
+        count = 2 if apart else 3
+        parts = thirds(learned[0], count)
+        own = [*cut(measured[0], count)[:2]]
         learned, apart = parts[:2], apart or parts[2:]
-    return explain(arm, simulation, learned, apart, step, without)
+    return explain(arm, simulation, learned, apart, step, without, _plain(own))
+
+
+def _plain(runs: Sequence[Run]) -> Model | None:
+    """The estimate of `zygos estimate` from runs; None where it has no value of some parameter."""
+    try:
+        model = estimate(joined(runs)).to_model()
+    except (Undecided, ZygosError):
+        return None
+    return model if set(runs[0].arm.parameter_names) <= set(model.parameters) else None
 
 
 def plan_next(

@@ -29,10 +29,12 @@ from zygos.gap.verdicts import (
     LateTorques,
     NearestArm,
     NoFloor,
+    NotAdmissible,
     NothingMissing,
     NotPredicted,
     NoUntouchedRun,
     PartNamed,
+    PlainEstimate,
     Remainder,
     Remark,
     RunsDisagree,
@@ -131,6 +133,21 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one se
                 f"a median error of {figure(found.median)} σ, where noise and the errors of the values make at most "
                 f"{figure(found.allowed)} σ."
             )
+        case PlainEstimate():
+            said = "The model of `zygos estimate` from the same runs is the answer."
+            if not found.failed:
+                return f"{said} No effect of the catalogue explains what it leaves over."
+            return f"{said} That with {_searched(found.findings)} is not adopted: {found.failed[0].sentence}."
+        case NotAdmissible():
+            return (
+                f"Neither the model with {_searched(found.findings)} nor that of `zygos estimate` is adopted: "
+                f"{found.failed[0].sentence}."
+            )
+
+
+def _searched(findings: Sequence[Finding]) -> str:
+    """What a model has that a search found."""
+    return listed(findings) if findings else "the simulation's own equations"
 
 
 def left(rest: Remainder) -> str:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from zygos.gap.adopted import Check
 from zygos.gap.changes import Change
 from zygos.gap.findings import Disagreement, Finding, Value
 from zygos.gap.payload import PayloadValue
 
-Answer = Literal["nothing missing", "values differ", "named", "part named", "changed", "cannot tell", "unknown"]
+Answer = Literal[
+    "nothing missing", "values differ", "named", "part named", "changed", "plain estimate", "cannot tell", "unknown"
+]
 
 
 @dataclass(frozen=True)
@@ -173,6 +176,27 @@ class Unpredicted:
     """The largest median of the same model on its own twin, also with redrawn values, sigma."""
 
 
+@dataclass(frozen=True)
+class PlainEstimate:
+    """The model with what was found does not pass the gate, and that of `zygos estimate` does."""
+
+    answer: ClassVar[Answer] = "plain estimate"
+    failed: tuple[Check, ...]
+    """What the model with what was found does not meet."""
+    findings: tuple[Finding, ...]
+    """What it has beside the simulation."""
+
+
+@dataclass(frozen=True)
+class NotAdmissible:
+    """Neither the model with what was found nor that of `zygos estimate` passes the gate."""
+
+    answer: ClassVar[Answer] = "unknown"
+    failed: tuple[Check, ...]
+    """What the model with what was found does not meet."""
+    findings: tuple[Finding, ...]
+
+
 ArmFileFirst = SkewedEncoders | LateTorques | WrongGravity | DeclaredTooNoisy
 """The arm file has to be put right before anything can be said."""
 Verdict = (
@@ -187,6 +211,8 @@ Verdict = (
     | Unexplained
     | NotPredicted
     | Unpredicted
+    | PlainEstimate
+    | NotAdmissible
 )
 
 

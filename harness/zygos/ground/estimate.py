@@ -426,7 +426,7 @@ def estimate_ground(
         found = replace(found, elsewhere=_gravity_elsewhere(arm, runs, wanted, span, rms(solution.share)))
     if validate and found.validity != "refused":
         whole = replace(found, doubtful=True).to_model()
-        found = replace(found, validated=tuple(score(run, _complete(whole, arm)) for run in validate))
+        found = replace(found, validated=tuple(score(run, complete(whole, arm)) for run in validate))
     told(1.0)
     return found
 
@@ -452,7 +452,7 @@ def _gravity_elsewhere(
     return best
 
 
-def _complete(model: Model, arm: Arm) -> Model:
+def complete(model: Model, arm: Arm) -> Model:
     """The model with zeros for parameters that no motion of the runs moved."""
     missing = {name: Quantity(0.0) for name in arm.parameter_names if name not in model.parameters}
     return replace(model, parameters={**model.parameters, **missing})

@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from zygos.gap.answer import change_json, finding_json, remainders_json, simulation_json, source_json, value_json
+from zygos.gap.answer import (
+    change_json,
+    checks_json,
+    finding_json,
+    remainders_json,
+    simulation_json,
+    source_json,
+    value_json,
+)
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap
 from zygos.gap.ground.predictions import Prediction, run_name
 from zygos.gap.ground.search import false_alarms, threshold
@@ -27,6 +35,7 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
         "partly": found.partly or None,
         "left": remainders_json(found.verdict),
         "change": change_json(found.verdict),
+        "checks": checks_json(found.adopted, found.verdict),
         "gap": None if found.gap is None else _gap(found.gap),
         "joints": [
             {
@@ -77,7 +86,12 @@ def predicted_errors(gap: GroundGap) -> list[tuple[str, float, list[float]]]:
     """For each model, and for noise alone: error of the energy over one second as share, and rms error of the torque of
     each joint over all untouched runs, Nm."""
     rows = []
-    for name, share in (("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed)):
+    for name, share in (
+        ("as delivered", gap.delivered),
+        ("refit", gap.refit),
+        ("plain estimate", gap.plain),
+        ("closed", gap.closed),
+    ):
         each = np.array([[j.error_nm for j in dict(one.scores)[name].joints] for one in gap.predictions])
         rows.append((name, share, np.sqrt(np.mean(each**2, axis=0)).tolist()))
     floor = np.sqrt(np.mean([one.floor_nm**2 for one in gap.predictions], axis=0))
@@ -89,6 +103,7 @@ def _gap(gap: GroundGap) -> dict[str, Any]:
         "unit": "share of the work in one second",
         "as_delivered": gap.delivered,
         "refit": gap.refit,
+        "plain_estimate": gap.plain,
         "closed": gap.closed,
         "floor": gap.floor,
         "shrinks": gap.refit / gap.closed if gap.closed > 0.0 else None,
@@ -97,7 +112,7 @@ def _gap(gap: GroundGap) -> dict[str, Any]:
 
 
 def _run(one: Prediction) -> dict[str, Any]:
-    keys = {"as delivered": "as_delivered"}
+    keys = {"as delivered": "as_delivered", "plain estimate": "plain_estimate"}
     return {
         "run": run_name(one.run),
         "path": str(one.run.path) if one.run.path else None,

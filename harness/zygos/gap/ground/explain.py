@@ -12,7 +12,8 @@ from threadpoolctl import threadpool_limits
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
-from zygos.errors import ZygosError
+from zygos.errors import Undecided, ZygosError
+from zygos.gap.adopted import NOT_WORSE, Adopted, Check, NotAdopted
 from zygos.gap.findings import ASYMMETRY, INTERVAL, Finding, Repeated, Value
 from zygos.gap.ground.bias import confirmed
 from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
@@ -23,7 +24,7 @@ from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, fit, jackknife, residual
 from zygos.gap.ground.form import form_sigmas
 from zygos.gap.ground.gravity import missing_gravity
-from zygos.gap.ground.predictions import CLOSED, Prediction, Stage, predict, remainders, run_name
+from zygos.gap.ground.predictions import BETTER, CLOSED, Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, beside_all, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
@@ -34,18 +35,21 @@ from zygos.gap.verdicts import (
     Inseparable,
     Lacking,
     LateTorques,
+    NotAdmissible,
     NothingMissing,
     NotPredicted,
     PartNamed,
+    PlainEstimate,
     Remainder,
     Unexplained,
     ValuesDiffer,
     Verdict,
     WrongGravity,
 )
-from zygos.ground.estimate import DEFAULT_FRICTION, at_best_span
+from zygos.ground.estimate import DEFAULT_FRICTION, at_best_span, complete, estimate_ground
 from zygos.ground.motion import Motion
 from zygos.ground.rows import friction
+from zygos.ground.solution import Solution
 from zygos.model.model import Model, Quantity
 from zygos.quantiles import normal_sf, student_factor, student_isf
 from zygos.runs.cycles import Cycles
@@ -139,38 +143,83 @@ class _Explainer:
         forms = form_sigmas(self.simulation, table, found, stage_of(table.layout, "closed", found.after), twins)
         findings = self._findings(found, sizes, forms)
         findings = (*findings, *self._directions(table, found, findings, sizes))
-        gap = self._gap(table, found)
+        gap = self._gap(table, found, rough)
         left = _Increments.of(table, found, twins)
         values_found = self._values(table, sizes)
-        verdict: Verdict
-        late, pull = lateness(table), missing_gravity(table, self.simulation)
-        if pull is not None:
-            x, y, z = (pull + self.arm.gravity).tolist()
-            verdict = WrongGravity((x, y, z), self.arm.gravity)
-        elif late is not None:
-            verdict = LateTorques(late)
-        elif changed is not None:
+        verdict = self._arm_file_first(table)
+        if verdict is None and changed is not None:
             verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
-        else:
-            verdict = self._judge(found, findings, values_found, gap, left)
+        verdict = verdict or self._judge(found, findings, values_found, gap, left)
         known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques | WrongGravity)
-        adopted = known and not isinstance(verdict, Inseparable)
         self.step(0.95, "verdict")
-        likely = self._adopt(table, found, findings, values_found, verdict) if known else None
+        likely = self._model(table, found, findings, values_found, verdict) if known else None
+        adopted, verdict = self._through_the_gate(likely, verdict, findings, gap)
+        if adopted is not None and adopted.model is not likely:
+            values_found = self._values_of(adopted.model)
+            if gap is not None:
+                gap = gap.closed_by(Stage.of("plain estimate", adopted.model, self.arm))
         return GroundExplanation(
             self.arm,
             self.simulation,
             self.measured,
             verdict,
-            findings if known else (),
+            findings if known and not isinstance(verdict, PlainEstimate | NotAdmissible) else (),
             values_found,
             found,
             self._joints(table, found, left),
             gap,
             span,
-            likely if adopted else None,
+            adopted,
             tuple(self.notes),
             likely,
+        )
+
+    def _arm_file_first(self, table: Table) -> Verdict | None:
+        """What has to be put right in the arm file before anything can be said; None where it is right."""
+        pull = missing_gravity(table, self.simulation)
+        if pull is not None:
+            x, y, z = (pull + self.arm.gravity).tolist()
+            return WrongGravity((x, y, z), self.arm.gravity)
+        late = lateness(table)
+        return None if late is None else LateTorques(late)
+
+    def _through_the_gate(
+        self, likely: Model | None, verdict: Verdict, findings: tuple[Finding, ...], gap: GroundGap | None
+    ) -> tuple[Adopted | None, Verdict]:
+        """The model that is written, and the verdict that goes with it. Where the one with what was found does not
+        pass, or there is none, it is that of `zygos estimate`, if that one passes.
+
+        likely: with what was found; None where nothing is known.
+        """
+        if isinstance(verdict, LateTorques | WrongGravity) or (likely is None and gap is None):
+            return None, verdict
+        failed: tuple[Check, ...] = ()
+        if likely is not None and not isinstance(verdict, Inseparable):
+            # a run may have been recorded before a change, and nobody says so
+            beside = () if gap is None or isinstance(verdict, Changed) else gap.comparisons()
+            try:
+                return Adopted(self.arm, likely, beside), verdict
+            except NotAdopted as refused:
+                failed = refused.failed
+        try:
+            # where nothing is known, it has to be an answer by itself
+            most = NOT_WORSE if failed else BETTER
+            plain = Adopted(self.arm, self._plain(), () if gap is None else gap.plain_beside_delivered(most))
+        except Undecided:
+            return None, NotAdmissible(failed, findings) if failed else verdict
+        return plain, verdict if isinstance(verdict, Inseparable) else PlainEstimate(failed, findings)
+
+    def _plain(self) -> Model:
+        """The estimate with friction at every motor. Errors: Undecided where it is refused."""
+        usual = friction(self.arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
+        return complete(estimate_ground(self.measured, effects=usual, doubtful=True).to_model(), self.arm)
+
+    def _values_of(self, model: Model) -> tuple[Value, ...]:
+        """Of another model than that with what was found."""
+        delivered = self.simulation.base_parameters(self.arm)
+        return tuple(
+            Value(name, now.unit, delivered[name].value, delivered[name].sigma, now.value, now.sigma)
+            for name, now in model.base_parameters(self.arm).items()
         )
 
     def _searched(
@@ -289,20 +338,24 @@ class _Explainer:
             )
         return tuple(listed)
 
-    def _stages(self, table: Table, found: Search) -> tuple[Stage, ...]:
-        own = tuple(self.simulation.effects)
-        return (
-            Stage("as delivered", table.layout.start[: len(self.arm.parameter_names)], own),
-            stage_of(table.layout, "refit", found.before),
-            stage_of(table.layout, "closed", found.after),
-        )
-
-    def _gap(self, table: Table, found: Search) -> GroundGap | None:
+    def _gap(self, table: Table, found: Search, plain: Solution) -> GroundGap | None:
+        """Predictions of the untouched runs. plain: the estimate with friction at every motor."""
         if not self.validate:
             self.notes.append("no run was kept apart, so that nothing says how well the result predicts another run")
             return None
-        stages = self._stages(table, found)
-        return GroundGap(tuple(predict(run, stages) for run in self.validate))
+        p = len(self.arm.parameter_names)
+        usual = friction(self.arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
+        baselines = (
+            Stage("as delivered", table.layout.start[:p], tuple(self.simulation.effects)),
+            stage_of(table.layout, "refit", found.before),
+            Stage(
+                "plain estimate",
+                plain.value[:p],
+                tuple(replace(e, value=max(float(x), 0.0)) for e, x in zip(usual, plain.value[p:], strict=True)),
+            ),
+        )
+        gap = GroundGap(tuple(predict(run, *baselines) for run in self.validate))
+        return gap.closed_by(stage_of(table.layout, "closed", found.after))
 
     def _judge(
         self,
@@ -320,7 +373,7 @@ class _Explainer:
             return ValuesDiffer(changed) if changed else NothingMissing()
         if gap is not None:
             with_them, without = _left(gap.predictions, "closed"), _left(gap.predictions, "refit")
-            if with_them > without:
+            if with_them > NOT_WORSE * without:
                 return NotPredicted(findings, with_them, without)
         # a constant torque is free in every run: what it is does not touch the other findings
         beside = [f for f in findings if f.instead and f.kind in (ASYMMETRY, OFFSET_OF_TORQUE)]
@@ -350,7 +403,7 @@ class _Explainer:
         return tuple(sorted(out, key=lambda rest: -rest.size))
 
     def _unexplained(self, found: Search, gap: GroundGap | None, left: _Increments) -> Unexplained:
-        predicted = max((float(one.ratio.max()) for one in gap.predictions), default=0.0) if gap is not None else 0.0
+        predicted = max((one.worst for one in gap.predictions), default=0.0) if gap is not None else 0.0
         untouched = predicted > CLOSED
         worst = predicted if untouched else float(left.over.max())
         near = found.nearest
@@ -365,7 +418,7 @@ class _Explainer:
             for j, joint in enumerate(self.arm.joints)
         )
 
-    def _adopt(
+    def _model(
         self, table: Table, found: Search, findings: tuple[Finding, ...], values: tuple[Value, ...], verdict: Verdict
     ) -> Model:
         by_name = {value.name: value for value in values}
@@ -507,8 +560,14 @@ def _torque_left(table: Table, x: Floats) -> Floats:
 
 
 def _left(predictions: Sequence[Prediction], name: str) -> float:
-    """Root mean square over runs of the share of the torques that a model leaves."""
-    return float(np.sqrt(np.mean([dict(one.scores)[name].share ** 2 for one in predictions])))
+    """Root mean square over runs and evaluated joints of the torque that a model leaves, in floors."""
+    each = [
+        (joint.error_nm / least) ** 2
+        for one in predictions
+        for joint, least, told in zip(dict(one.scores)[name].joints, one.floor_nm, one.evaluated, strict=True)
+        if told
+    ]
+    return float(np.sqrt(np.mean(each))) if each else 0.0
 
 
 def _parts(measured: Sequence[Run], validate: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:

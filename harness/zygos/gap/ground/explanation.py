@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.can.run import Run
+from zygos.gap.adopted import Adopted, Check
 from zygos.gap.findings import Finding, Value
 from zygos.gap.ground import sentences
-from zygos.gap.ground.predictions import Prediction, share_of_energy
+from zygos.gap.ground.predictions import Prediction, Stage, run_name, share_of_energy
 from zygos.gap.ground.search import Search
 from zygos.gap.simulated import Simulated
 from zygos.gap.verdicts import Answer, Verdict, partly
@@ -27,6 +28,25 @@ class GroundGap:
 
     predictions: tuple[Prediction, ...]
 
+    def closed_by(self, stage: Stage) -> GroundGap:
+        """With another model as the one that was found."""
+        return GroundGap(tuple(one.closed_by(stage) for one in self.predictions))
+
+    def comparisons(self) -> tuple[Check, ...]:
+        """The model found beside the best baseline, on each run."""
+        return tuple(check for one in self.predictions for check in one.comparisons())
+
+    def plain_beside_delivered(self, most: float) -> tuple[Check, ...]:
+        """The plain estimate beside the model as delivered, on each run. most: share of the error of its torques, or of
+        its work, that it may leave."""
+        checks = []
+        for one in self.predictions:
+            work = one.plain.arm_energy_share / one.delivered.arm_energy_share
+            torques = one.plain.share / one.delivered.share
+            name = f"the error of the plain estimate over that of the model as delivered in {run_name(one.run)}"
+            checks.append(Check(name, min(work, torques), "1", highest=most))
+        return tuple(checks)
+
     @property
     def delivered(self) -> float:
         """By the simulation as it came."""
@@ -36,6 +56,11 @@ class GroundGap:
     def refit(self) -> float:
         """By its own equations, values fitted."""
         return share_of_energy(self.predictions, "refit")
+
+    @property
+    def plain(self) -> float:
+        """By the estimate of `zygos estimate`."""
+        return share_of_energy(self.predictions, "plain estimate")
 
     @property
     def closed(self) -> float:
@@ -75,14 +100,19 @@ class GroundExplanation:
     gap: GroundGap | None
     span_s: float
     """Length of the increments, s."""
-    model: Model | None
-    """The model with what was learned; None where nothing is to be adopted."""
+    adopted: Adopted | None
+    """The model that is written; None where there is none."""
     remarks: tuple[str, ...]
     """What was noticed beside, in sentences."""
     likely: Model | None = None
     """The model with what was found, whether it is to be adopted or not; None where nothing is known."""
     simulated: Simulated | None = None
     """Where the simulation's values come from, if it is known by a run alone."""
+
+    @property
+    def model(self) -> Model | None:
+        """The model that is written; None where there is none."""
+        return None if self.adopted is None else self.adopted.model
 
     @property
     def notes(self) -> tuple[str, ...]:

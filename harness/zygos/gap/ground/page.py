@@ -31,7 +31,7 @@ _POINTS = 1500
 """Of a line of a chart."""
 _BINS = 24
 _UNITS = {"rate": "rad/s", "angle": "rad", "load": "N m", "time": "s"}
-_GOOD = ("named", "nothing missing", "values differ")
+_GOOD = ("named", "nothing missing", "values differ", "plain estimate")
 
 
 def write_ground_gap_report(

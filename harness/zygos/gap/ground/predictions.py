@@ -3,69 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import Effect
+from zygos.gap.adopted import Check, no_worse
 from zygos.gap.ground.twin import floor
 from zygos.gap.remainder import explained_share
 from zygos.gap.verdicts import Remainder
 from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_rows
 from zygos.ground.score import Score, scored
+from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
 
 CLOSED = 3.0
 """Error of the predicted torques over what noise causes, up to which a run closes."""
+EVALUATED = 5.0
+"""Torque of a joint, or work of the arm, over its floor from which on its prediction is evaluated: below, its error
+says little of a model."""
+STRETCH_S = 0.5
+"""Length of the stretches over which errors are compared, s."""
+BETTER = 0.5
+"""Share of the error of the model as delivered that the plain estimate leaves where it is an answer by itself."""
 TELLS = 0.2
 """Share of the squared error that must go with a quantity for it to be said."""
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """An untouched run, predicted by four models; m instants, N joints."""
-
-    run: Run
-    rows: TorqueRows
-    delivered: Score
-    refit: Score
-    closed: Score
-    floor: Score
-    """Of the closed model on its own twin: noise, quanta and filters alone."""
-
-    @property
-    def scores(self) -> tuple[tuple[str, Score], ...]:
-        """By name."""
-        return (
-            ("as delivered", self.delivered),
-            ("refit", self.refit),
-            ("closed", self.closed),
-            ("floor", self.floor),
-        )
-
-    @property
-    def floor_nm(self) -> Floats:
-        """(N,) root mean square of the error of the torque that noise alone causes, Nm."""
-        return np.array([joint.error_nm for joint in self.floor.joints])
-
-    @property
-    def error(self) -> Floats:
-        """(m, N) torque that the closed model leaves, less its mean, Nm."""
-        return np.asarray(self.closed.measured - self.closed.predicted, dtype=np.float64)
-
-    @property
-    def ratio(self) -> Floats:
-        """(N,) error of the closed model over the floor."""
-        errors = np.array([joint.error_nm for joint in self.closed.joints])
-        return np.asarray(errors / self.floor_nm, dtype=np.float64)
-
-    @property
-    def closes(self) -> bool:
-        """Whether noise alone is left."""
-        return bool(np.all(self.ratio <= CLOSED))
 
 
 @dataclass(frozen=True)
@@ -76,17 +42,109 @@ class Stage:
     values: Floats
     effects: tuple[Effect, ...]
 
+    @classmethod
+    def of(cls, name: str, model: Model, arm: Arm) -> Stage:
+        """A model under a name of its own. Errors: ZygosError where it does not fit the arm."""
+        return cls(name, model.base_values(arm), model.effects)
 
-def predict(run: Run, stages: Sequence[Stage]) -> Prediction:
-    """Predict a run with the model as delivered, refit and closed.
+
+@dataclass(frozen=True)
+class Prediction:
+    """An untouched run, predicted by the baselines and by the model that was found; m instants, N joints."""
+
+    run: Run
+    rows: TorqueRows
+    delivered: Score
+    refit: Score
+    plain: Score
+    """By the estimate of `zygos estimate`."""
+    closed: Score
+    floor: Score
+    """Of the baseline that predicts best, on its own twin: noise, quanta and filters alone."""
+
+    @property
+    def baselines(self) -> tuple[tuple[str, Score], ...]:
+        """The predictions that the model found must not be worse than, by name."""
+        return (("as delivered", self.delivered), ("refit", self.refit), ("plain estimate", self.plain))
+
+    @property
+    def scores(self) -> tuple[tuple[str, Score], ...]:
+        """By name."""
+        return (*self.baselines, ("closed", self.closed), ("floor", self.floor))
+
+    @property
+    def floor_nm(self) -> Floats:
+        """(N,) root mean square of the error of the torque that noise alone causes, Nm."""
+        return np.array([joint.error_nm for joint in self.floor.joints])
+
+    @property
+    def evaluated(self) -> NDArray[np.bool_]:
+        """(N,) which joints have torques that are large enough to say something of a model."""
+        measured = np.array([joint.measured_nm for joint in self.closed.joints])
+        return np.asarray(measured >= EVALUATED * self.floor_nm)
+
+    @property
+    def error(self) -> Floats:
+        """(m, N) torque that the closed model leaves, less its mean, Nm."""
+        return np.asarray(self.closed.measured - self.closed.predicted, dtype=np.float64)
+
+    @property
+    def ratio(self) -> Floats:
+        """(N,) error of the closed model over the floor; NaN at joints that are not evaluated."""
+        errors = np.array([joint.error_nm for joint in self.closed.joints])
+        return np.where(self.evaluated, errors / self.floor_nm, np.nan)
+
+    @property
+    def worst(self) -> float:
+        """The largest ratio; 0 where no joint is evaluated."""
+        return float(np.nanmax(self.ratio, initial=0.0))
+
+    @property
+    def closes(self) -> bool:
+        """Whether noise alone is left."""
+        return self.worst <= CLOSED
+
+    def closed_by(self, stage: Stage) -> Prediction:
+        """With another model as the one that was found."""
+        motion = Motion.of(self.run)
+        return replace(self, closed=scored(self.run, stage.name, self.rows, stage.values, stage.effects, motion))
+
+    def comparisons(self) -> tuple[Check, ...]:
+        """The model found beside the best baseline: torques in units of their floors, in the median over stretches
+        and in what a tenth of them exceeds, and the work in one second."""
+        checks = []
+        if self.evaluated.any():
+            for percent, said in ((50, "the median error of the torques"), (90, "the 90th percentile of the error")):
+                name = f"{said} in {run_name(self.run)}"
+                each = [(which, self._percentile(score, percent)) for which, score in self.baselines]
+                limit = CLOSED * self._percentile(self.floor, percent)
+                checks.append(no_worse(name, "floors", self._percentile(self.closed, percent), each, limit))
+        if not (self.closes and self.evaluated.all()):
+            # the floor of the work is known less well than those of torques: where these do not close, it is no excuse
+            name = f"the error of the work in one second in {run_name(self.run)}"
+            shares = [(which, score.arm_energy_share) for which, score in self.baselines]
+            checks.append(no_worse(name, "of the work", self.closed.arm_energy_share, shares))
+        return tuple(checks)
+
+    def _percentile(self, score: Score, percent: float) -> float:
+        """Percentile over stretches of half a second of the root mean square over the evaluated joints, in floors."""
+        left = (score.measured - score.predicted)[:, self.evaluated] / self.floor_nm[self.evaluated]
+        length = max(1, round(STRETCH_S / self.rows.period_s))
+        each = [np.mean(part**2) for part in np.array_split(left, max(1, len(left) // length))]
+        return float(np.percentile(np.sqrt(each), percent))
+
+
+def predict(run: Run, delivered: Stage, refit: Stage, plain: Stage) -> Prediction:
+    """Predict a run with the baselines; the plain estimate stands for the model that is not yet found.
 
     Errors: ZygosError for a run that is too short.
     """
     motion = Motion.of(run)
     rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), HIGHEST_CUTOFF_HZ))
-    scores = [scored(run, one.name, rows, one.values, one.effects, motion) for one in stages]
-    delivered, refit, closed = scores
-    return Prediction(run, rows, delivered, refit, closed, floor(motion, rows, stages[-1].values, stages[-1].effects))
+    stages = (delivered, refit, plain)
+    first, second, third = scores = [scored(run, one.name, rows, one.values, one.effects, motion) for one in stages]
+    best, _ = min(zip(stages, scores, strict=True), key=lambda each: sum(one.error_nm**2 for one in each[1].joints))
+    return Prediction(run, rows, first, second, third, third, floor(motion, rows, best.values, best.effects))
 
 
 def share_of_energy(predictions: Sequence[Prediction], name: str) -> float:
@@ -101,7 +159,7 @@ def remainders(predictions: Sequence[Prediction]) -> tuple[Remainder, ...]:
     for one in predictions:
         arm = one.run.arm
         for j, joint in enumerate(arm.joints):
-            if one.ratio[j] <= CLOSED:
+            if not one.ratio[j] > CLOSED:
                 continue
             over, share = varies_with(one, j)
             name = f"the {joint.name} in {run_name(one.run)}"

@@ -50,7 +50,8 @@ def title(arm: Arm, column: str) -> str:
 
 def after_gear(arm: Arm, finding: Finding) -> str:
     """Its value after the gear, where that differs; empty otherwise."""
-    ratio = next((joint.gear_ratio for joint in arm.joints if joint.name == finding.joint), 1.0)
+    names = [joint.name for joint in arm.joints]
+    ratio = float(arm.gear_ratios[names.index(finding.joint)]) if finding.joint in names else 1.0
     factor = {"Nm": ratio, "Nms/rad": ratio, "kg m^2": ratio**2}.get(finding.unit, 1.0)
     before = finding.kind in (ROTOR_INERTIA, ASYMMETRY)
     before = before or (finding.entry is not None and finding.entry.place == "motor")
@@ -122,8 +123,8 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
         case NotPredicted():
             return (
                 f"{listed(arm, found.findings)} would explain the measured runs, but the untouched run is predicted "
-                f"better without ({100 * found.closed_median:.3g} % of the torque left with, "
-                f"{100 * found.struck_median:.3g} % without): not adopted."
+                f"better without ({figure(found.closed_median)} floors of torque left with, "
+                f"{figure(found.struck_median)} without): not adopted."
             )
         case Inseparable():
             first = _certain(arm, found.findings)
