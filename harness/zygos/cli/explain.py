@@ -438,15 +438,17 @@ def command(
     """Find where simulation and measurement disagree, name the missing effect, add it, and show how the gap shrinks.
 
     Balances of energy, motor impulse and momentum are computed on cycles that the C library decoded, and compared with
-    those of a simulation of the same run. The answer is one of: values differ, named, part named, changed, cannot tell
-    these apart, nothing missing above the detection limits, unknown. A named effect is added to NEW.toml with value,
-    interval and evidence. The gap is the error of predictions half a second ahead on the runs of --validate, in units
+    those of a simulation of the same run. The answer is one of: values differ, named, part named, changed, plain
+    estimate, cannot tell these apart, nothing missing above the detection limits, unknown. A named effect is added to
+    NEW.toml with value, interval and evidence. The gap is the error of predictions half a second ahead on the runs of --validate, in units
     of the sensors' noise: with the model as delivered, refit, closed (with the named effects), and the floor, which is
     caused by noise alone. "part named" is the answer where the closed model still predicts much worse than that floor.
 
     With --next-motion a set of effects that cannot be told apart comes with a scenario that tells them apart.
 
-    Exit code 3 when the answer is unknown or cannot tell; then NEW.toml is not written.
+    A model is written only if an arm can have it and it predicts the runs of --validate no worse than the model as
+    delivered, the refit, and the estimate of `zygos estimate`; otherwise this estimate is the answer. Exit code 3 when
+    NEW.toml is not written, because nothing is decided.
 
     Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
     """

@@ -259,12 +259,12 @@ def run_real(
     gap = explained(learned, found, folder)
     if gap.gap is not None:
         table(
-            ("recording", "energy over 1 s wrong, %: as delivered", "refit", "closed", "floor"),
+            ("recording", *(f"{name}, %" for name, _ in gap.gap.predictions[0].scores)),
             [
                 (run_name(one.run), *(number(100 * score.arm_energy_share, 3) for _, score in one.scores))
                 for one in gap.gap.predictions
             ],
-            title="the gap of the published model without friction",
+            title="the gap of the published model without friction: error of the energy over one second",
         )
     say(f"{gap.answer}: {gap.sentence}")
     say(f"{folder / 'gap.html'} · {folder / 'gap.svg'}")

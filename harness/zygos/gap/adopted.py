@@ -15,7 +15,7 @@ from zygos.report.figures import figure
 
 NOT_WORSE = 1.1
 """Error of a model's predictions over that of the best baseline, up to which it is no worse."""
-_LEAST = 1e-300
+LEAST = 1e-300
 """Inertia and stiffness are more than 0, because equations of motion are divided by them."""
 
 
@@ -91,7 +91,7 @@ def possible(arm: Arm, model: Model) -> tuple[Check, ...]:
     """
     values = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
     checks = [
-        Check(name, values[name], unit, lowest=0.0 if one.symbol == "b" else _LEAST)
+        Check(name, values[name], unit, lowest=0.0 if one.symbol == "b" else LEAST)
         for name, unit, one in zip(arm.parameter_names, arm.parameter_units, arm.parameters, strict=True)
         if one.joint is not None and one.symbol in ("Im", "k", "b")
     ]

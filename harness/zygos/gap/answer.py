@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from zygos.gap.adopted import Adopted
+from zygos.gap.adopted import Adopted, Check
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Finding, Gap, Value
 from zygos.gap.forecast import Forecast
@@ -97,9 +97,14 @@ def remainders_json(verdict: Verdict) -> list[dict[str, Any]]:
     ]
 
 
-def checks_json(adopted: Adopted | None, verdict: Verdict) -> list[dict[str, Any]]:
-    """What decided whether a model is written: the checks that failed, then those that the written one passed."""
+def decided(adopted: Adopted | None, verdict: Verdict) -> tuple[Check, ...]:
+    """What decided whether a model is written: the checks that did not hold, then those that the written one passed."""
     failed = verdict.failed if isinstance(verdict, PlainEstimate | NotAdmissible) else ()
+    return (*failed, *(() if adopted is None else adopted.checks))
+
+
+def checks_json(adopted: Adopted | None, verdict: Verdict) -> list[dict[str, Any]]:
+    """The same for the JSON."""
     return [
         {
             "name": one.name,
@@ -110,7 +115,7 @@ def checks_json(adopted: Adopted | None, verdict: Verdict) -> list[dict[str, Any
             "beside": one.beside or None,
             "holds": one.holds,
         }
-        for one in (*failed, *(() if adopted is None else adopted.checks))
+        for one in decided(adopted, verdict)
     ]
 
 

@@ -17,6 +17,8 @@ from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Effect, Kind, spoken
 from zygos.errors import Undecided
 from zygos.files.output import ratio
+from zygos.gap.adopted import LEAST, Adopted
+from zygos.gap.answer import decided
 from zygos.gap.charts import Charts
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import DISAGREE, INTERVAL, Deflection, Finding, Gap, Value
@@ -26,6 +28,7 @@ from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import EXCESS, Candidate
 from zygos.gap.sentences import against, asked_of_candidates, balance_title, evidence, motion, predicted
 from zygos.gap.torque import WINDOW_S
+from zygos.gap.verdicts import Verdict
 from zygos.plan.separating import Separating
 from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, within
 from zygos.report.page import Entry, joint_colour, render
@@ -51,6 +54,7 @@ def write_gap_report(
         findings=[_finding(x.arm, finding) for finding in x.findings],
         changed=[_card(value) for value in x.values if value.differs] if x.answer == "values differ" else [],
         gap=None if x.gap is None else _gap(x, x.gap),
+        checks=check_rows(x.adopted, x.verdict),
         balances=_balances(x),
         bent=[_bent(d) for d in x.deflections],
         waterfall=_waterfall(x),
@@ -98,6 +102,22 @@ _TAGS = {
 
 def _length(record: MeasuredRun) -> str:
     return f"{len(record.starts) * record.instants * record.arm.period_s:.0f} s"
+
+
+def check_rows(adopted: Adopted | None, verdict: Verdict) -> list[Entry]:
+    """What decided whether a model is written."""
+    return [
+        {
+            "name": one.name,
+            "found": figure(one.found),
+            "lowest": "more than 0" if one.lowest == LEAST else figure(one.lowest),
+            "highest": figure(one.highest),
+            "unit": unit_of(one.unit),
+            "beside": one.beside or "physical",
+            "holds": one.holds,
+        }
+        for one in decided(adopted, verdict)
+    ]
 
 
 # verdict

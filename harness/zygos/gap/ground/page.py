@@ -17,7 +17,7 @@ from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.predictions import Prediction, quantities, run_name
 from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import after_gear, against, evidence, title
-from zygos.gap.page import limit_rows, planned_entry
+from zygos.gap.page import check_rows, limit_rows, planned_entry
 from zygos.gap.sentences import asked_of_candidates
 from zygos.gap.verdicts import PartNamed
 from zygos.plan.separating import Separating
@@ -69,6 +69,7 @@ def gap_content(
             {"name": name, "energy": number(100 * share, 3), "torques": [number(x, 3) for x in torques]}
             for name, share, torques in predicted_errors(found.gap)
         ],
+        "checks": check_rows(found.adopted, found.verdict),
         "joints": [
             {
                 "name": one.joint,

@@ -122,8 +122,8 @@ class Prediction:
         if not (self.closes and self.evaluated.all()):
             # the floor of the work is known less well than those of torques: where these do not close, it is no excuse
             name = f"the error of the work in one second in {run_name(self.run)}"
-            shares = [(which, score.arm_energy_share) for which, score in self.baselines]
-            checks.append(no_worse(name, "of the work", self.closed.arm_energy_share, shares))
+            shares = [(which, 100.0 * score.arm_energy_share) for which, score in self.baselines]
+            checks.append(no_worse(name, "% of it", 100.0 * self.closed.arm_energy_share, shares))
         return tuple(checks)
 
     def _percentile(self, score: Score, percent: float) -> float:
