@@ -190,7 +190,7 @@ def test_a_rigid_prior_is_kept_where_the_run_is_silent(tmp_path: Path) -> None:
         log = tmp_path / scenario.name / "run.blf"
         log.parent.mkdir(exist_ok=True)
         assert run("simulate", scenario / "scenario.toml", "--model", rigid, "-o", log, *noise) == 0
-        assert run("estimate", log, "-o", out, "--model", rigid) == 3
+        assert run("estimate", log, "-o", out, "--model", rigid) == 0  # partial
         arm, model, plant = load_arm(scenario / "arm.toml"), load_model(out), load_model(rigid)
         assert model.parameters["k2"].value == np.inf
         assert model.parameters["k2"].source == "CAD"

@@ -78,7 +78,7 @@ def test_a_zero_of_an_encoder_is_stated_as_such(tmp_path: Path) -> None:
     assert zero["value"] == pytest.approx(size, rel=0.05)
 
 
-@pytest.mark.parametrize(("without", "answer"), [("torque_lag", "unknown"), ("motor_viscous", "part named")])
+@pytest.mark.parametrize(("without", "answer"), [("torque_lag", "plain estimate"), ("motor_viscous", "part named")])
 def test_on_the_ground_nothing_is_named_in_whole_while_more_than_noise_is_left(
     without: str, answer: str, tmp_path: Path
 ) -> None:
@@ -87,13 +87,16 @@ def test_on_the_ground_nothing_is_named_in_whole_while_more_than_noise_is_left(
     assert verdict["answer"] == answer, verdict["sentence"]
 
 
-def test_a_drive_that_is_late_by_more_than_a_period_is_named_in_part(tmp_path: Path) -> None:
-    """A low pass at one joint: the torque law of the arm file holds for all joints."""
+def test_a_drive_that_is_late_by_more_than_a_period_is_no_model(tmp_path: Path) -> None:
+    """A low pass at one joint: the torque law of the arm file holds for all joints. The simulator cannot hold a torque
+    back for more than a period, so that it is told, and not written."""
     verdict, size = _asked("planar/torque_lag/shoulder/x30", tmp_path)
-    assert verdict["answer"] == "part named", verdict["sentence"]
-    (found,) = verdict["findings"]
-    assert (found["effect"], found["joint"]) == ("torque_lag", "shoulder")
-    assert found["value"] == pytest.approx(size, rel=0.03)
+    assert verdict["answer"] == "unknown", verdict["sentence"]
+    assert "torque lag (shoulder)" in verdict["partly"]
+    late = next(check for check in verdict["checks"] if not check["holds"])
+    assert late["name"] == "torque_lag1"
+    assert late["found"] == pytest.approx(size, rel=0.03)
+    assert late["found"] > late["highest"]
 
 
 def test_a_law_of_the_second_round_is_named(tmp_path: Path) -> None:

@@ -228,7 +228,7 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
         return out
     if true.expected == "unknown":
         fair = bool(said) and all(near(pair) for pair in said)
-        out["right"] = answer == "unknown" or (answer == "part named" and fair)
+        out["right"] = answer in {"unknown", "plain estimate"} or (answer == "part named" and fair)
         # a set that cannot be told apart claims no law
         out["misnamed"] = answer == "named" or (answer == "part named" and not fair)
         return out

@@ -34,8 +34,8 @@ def finish_estimate(
     report: Path | None = None,
     source: Provenance | None = None,
 ) -> None:
-    """Print the table, write the model, report a change of the arm, and raise Undecided if the estimate is not
-    valid.
+    """Print the table, write the model, report a change of the arm, and raise Undecided if the estimate is
+    doubtful or refused.
 
     report: a page to write, for which the estimate must have kept its trace; source: what it was made from.
     """
@@ -77,6 +77,11 @@ def finish_estimate(
     finally:
         if json:
             write_json(json, found.as_dict(heading))
-    if found.validity != "valid":
-        number_of = f": {found.measured}" if found.measured else ""
-        raise Undecided(f"{found.validity}: {found.reason}{number_of} ({where}); remedy: {found.remedy}")
+    if found.validity == "valid":
+        return
+    number_of = f": {found.measured}" if found.measured else ""
+    said = f"{found.validity}: {found.reason}{number_of} ({where}); remedy: {found.remedy}"
+    if found.validity != "partial":
+        raise Undecided(said)
+    # the values that there are mean what they say
+    warn([said])

@@ -222,8 +222,9 @@ def command(
     Writes a model.toml with value and sigma of each parameter. A parameter that the motion does not determine is left
     out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are estimated
     as well, whatever their values; so is a spring_offset of each joint whose encoder zeros are uncertain by the arm
-    file (zero_sigma_rad above 0). Exit code 3 when something is undecided; the reason is on stderr and in the JSON. If
-    the arm changed during the run, a warning on stderr and the JSON state when, and in which parameters.
+    file (zero_sigma_rad above 0). Exit code 3 when the estimate is doubtful or refused; where it is partial, a warning
+    names what the motion does not determine. The reason is on stderr and in the JSON. If the arm changed during the
+    run, a warning on stderr and the JSON state when, and in which parameters.
 
     The page of --report has the verdict with reason and remedy, the parameters with their intervals, the data that were
     lost or left out, and charts of the motion and of the balance.

@@ -440,9 +440,10 @@ def command(
     Balances of energy, motor impulse and momentum are computed on cycles that the C library decoded, and compared with
     those of a simulation of the same run. The answer is one of: values differ, named, part named, changed, plain
     estimate, cannot tell these apart, nothing missing above the detection limits, unknown. A named effect is added to
-    NEW.toml with value, interval and evidence. The gap is the error of predictions half a second ahead on the runs of --validate, in units
-    of the sensors' noise: with the model as delivered, refit, closed (with the named effects), and the floor, which is
-    caused by noise alone. "part named" is the answer where the closed model still predicts much worse than that floor.
+    NEW.toml with value, interval and evidence. The gap is the error of predictions half a second ahead on the runs of
+    --validate, in units of the sensors' noise: with the model as delivered, refit, closed (with the named effects), and
+    the floor, which is caused by noise alone. "part named" is the answer where the closed model still predicts much
+    worse than that floor.
 
     With --next-motion a set of effects that cannot be told apart comes with a scenario that tells them apart.
 

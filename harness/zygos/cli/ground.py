@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from zygos.cli.shared import warn
 from zygos.errors import Undecided
 from zygos.files.output import counted, named, number, quiet, ratio, say, table, write_json
 from zygos.ground.estimate import GroundEstimate
@@ -19,7 +20,7 @@ from zygos.report.provenance import Provenance
 def finish_ground(
     found: GroundEstimate, out: Path, json: str | None, report: Path | None, source: Provenance | None
 ) -> None:
-    """Print the tables, write the model, and raise Undecided if the estimate is not valid.
+    """Print the tables, write the model, and raise Undecided if the estimate is doubtful or refused.
 
     report: a page to write; source: what it was made from.
     """
@@ -49,8 +50,12 @@ def finish_ground(
     finally:
         if json:
             write_json(json, found.as_dict())
-    if found.validity != "valid":
-        raise Undecided(f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}")
+    said = f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}"
+    if found.validity == "partial":
+        # the values that there are mean what they say
+        warn([said])
+    elif found.validity != "valid":
+        raise Undecided(said)
 
 
 def finish_payload(found: Payload, out: Path, json: str | None) -> None:

@@ -167,7 +167,8 @@ def command(
     told: the refined values where they are published, otherwise why they are not, and the innovations of each kind of
     sensor.
 
-    Exit code 3 when something is undecided, or the bus failed; the estimate so far is written nevertheless.
+    Exit code 3 when the estimate is doubtful or refused, or the bus failed; the estimate so far is written
+    nevertheless.
 
     Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
     """

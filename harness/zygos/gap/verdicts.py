@@ -221,7 +221,7 @@ def partly(verdict: Verdict) -> tuple[Finding, ...]:
     match verdict:
         case Unexplained():
             return verdict.partly
-        case NotPredicted():
+        case NotPredicted() | NotAdmissible():
             return verdict.findings
     return ()
 
