@@ -12,6 +12,9 @@ from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
 from zygos.effects import CATALOGUE, Effect
 from zygos.gap.adopted import NOT_WORSE, Adopted, Check, NotAdopted, no_worse
+from zygos.gap.findings import Disagreement, Value
+from zygos.gap.sentences import verdict
+from zygos.gap.verdicts import RunsDisagree, ValuesDiffer
 from zygos.model.model import Model, load_model
 
 
@@ -81,3 +84,12 @@ def test_a_model_is_no_worse_than_the_best_baseline(arm: Arm) -> None:
     for bad in (2.3, np.nan, np.inf):
         assert failures(arm, with_values(arm, {}), no_worse("the error", "sigma", bad, baselines)) == ["the error"]
     assert Adopted(arm, with_values(arm, {}), (good,)).checks[-1] is good
+
+
+def test_a_sentence_names_the_plainest_values_and_counts_the_others(arm: Arm) -> None:
+    values = [Value(f"v{k}", "kg m^2", 1.0, 0.0, 1.0 + 0.01 * k, 0.01) for k in range(1, 21)]
+    said = verdict(arm, ValuesDiffer(tuple(values)))
+    assert "v20 " in said and "v17 " in said and "v16 " not in said
+    assert said.endswith("and 16 more.")
+    apart = tuple(Disagreement(f"v{k}", 1.0, 2.0) for k in range(6))
+    assert "and 2 more, and each closes by itself." in verdict(arm, RunsDisagree(apart))

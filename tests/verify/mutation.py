@@ -95,8 +95,9 @@ def text_of_page(figure: str, survivors: Sequence[Mutant], known: Mapping[str, t
     return f"""# Mutants that survive
 
 `make verify STEPS=mutation` writes this page ([verification.md](verification.md)), of commit {measured_commit(ROOT)}.
-The last two columns are written by hand. A judgement stays as long as its mutant survives: *equivalent* (no input shows
-it), *accepted* (it shows in a way that no test should hold) or *needs a test*. `#K` counts equal changes in a function.
+First are the survivors of its sample, then those that were judged in other samples. The last two columns are written
+by hand. A judgement stays as long as its mutant survives: *equivalent* (no input shows it), *accepted* (it shows in a
+way that no test should hold) or *needs a test*. `#K` counts equal changes in a function.
 
 {figure}.
 
@@ -221,5 +222,9 @@ def result(tests: Sequence[str], number: int, seed: int, jobs: int) -> Result:
     known = judgements(PAGE)
     found = assessed(outcomes, {key: judgement for key, (judgement, _) in known.items()})
     figure = f"{found.figure}; {len(mutants):,} mutants in all, seed {seed}"
-    write_text(PAGE, text_of_page(figure, [outcome.mutant for outcome in outcomes if not outcome.killed], known))
+    tried = {outcome.mutant.key for outcome in outcomes}
+    # judged in another sample, and still there
+    before = [mutant for mutant in mutants if mutant.key in known and mutant.key not in tried]
+    survivors = [outcome.mutant for outcome in outcomes if not outcome.killed]
+    write_text(PAGE, text_of_page(figure, [*survivors, *before], known))
     return Result(found.verdict, figure, found.findings, found.figures)

@@ -259,7 +259,8 @@ def finish(
 
 
 def show(found: Explanation) -> None:
-    """Print the tables of a verdict."""
+    """Print the tables of a verdict. Where nothing is left over, no candidate explains anything."""
+    null = found.answer in {"nothing missing", "values differ"}
     if found.search is not None:
         listed = found.search.rounds[0][:6]
         runs = range(len(found.refit.records))
@@ -279,7 +280,7 @@ def show(found: Explanation) -> None:
                     *(number(x, 4) for x in c.each),
                     c.kind.unit,
                     *(f"{z:.1f}" for z in c.z),
-                    f"{100 * max(0.0, c.complete):.1f}",
+                    "–" if null else f"{100 * max(0.0, c.complete):.1f}",
                     number(c.limit, 2),
                     "named" if c in found.search.named else against(c) or "explains less",
                 )

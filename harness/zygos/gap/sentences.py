@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -55,6 +55,8 @@ from zygos.report.figures import figure
 
 _BASE = "the base, the gyro, or the momentum that is assumed"
 _VISIBLE = 10.0
+SAID = 4
+"""Values that a sentence names; a table has all."""
 """Refit over floor from which on a gap is plain to see."""
 _AGAINST: dict[Against, str] = {
     "insignificant": "not beyond its twin on both runs",
@@ -194,9 +196,9 @@ def _upper(text: str) -> str:
 
 def _values_differ(arm: Arm, changed: Sequence[Value]) -> str:
     gone = [spoken(arm, v.name) for v in changed if v.absent]
-    others = ", ".join(
+    others = _first_of(
         f"{v.name} {sized(v.found, v.sigma, v.unit)} (simulation {v.delivered:.5g}: {100 * v.change:+.3g} %)"
-        for v in changed
+        for v in sorted(changed, key=lambda v: -abs(v.found - v.delivered) / max(v.sigma, 1e-300))
         if not v.absent
     )
     parts = [f"The simulation has {' and '.join(gone)}, which these runs do not show."] if gone else []
@@ -205,7 +207,14 @@ def _values_differ(arm: Arm, changed: Sequence[Value]) -> str:
 
 
 def _disagreements(parameters: Sequence[Disagreement]) -> str:
-    return ", ".join(f"{p.name} ({p.first:.5g} on the first, {p.second:.5g} on the second)" for p in parameters)
+    return _first_of(f"{p.name} ({p.first:.5g} on the first, {p.second:.5g} on the second)" for p in parameters)
+
+
+def _first_of(texts: Iterable[str]) -> str:
+    """As many of them as a sentence holds, and how many others there are."""
+    listed = list(texts)
+    more = len(listed) - SAID
+    return ", ".join(listed[:SAID]) + (f" and {more} more" if more > 0 else "")
 
 
 # findings
