@@ -389,3 +389,18 @@ def test_joined_runs_have_a_gap_between() -> None:
     assert len(whole) == len(first) + len(second)
     assert np.count_nonzero(np.diff(whole.cycles.sync.astype(np.int64)) != 1) == 1
     assert joined([first]) is first
+
+
+def test_a_joint_whose_torque_is_hardly_more_than_noise_is_not_evaluated() -> None:
+    """Its error in per cent would say nothing of the model, which is right."""
+    arm, model, *_ = _setup(2)
+    run = recorded(arm, model, path=0, seed=0, seconds=10.0)
+    plain = score(run, model)
+    assert all(one.evaluated and one.error_nm < 3.0 * one.floor_nm for one in plain.joints)
+    # noise as large as the torque of the second joint
+    loud = np.random.default_rng(0).normal(0.0, 1.0, len(run)) * np.std(run.cycles.tau[:, 1]) * 30.0
+    tau = run.cycles.tau + np.stack([np.zeros(len(run)), loud], axis=1)
+    found = score(replace(run, frames=None, table=replace(run.cycles, tau=tau)), model)
+    assert [one.evaluated for one in found.joints] == [True, False]
+    assert found.share == pytest.approx(found.joints[0].share)
+    assert found.as_dict()["joints"][1]["evaluated"] is False

@@ -131,7 +131,8 @@ def print_score(score: Score, before: str = "") -> None:
             one.joint,
             number(one.measured_nm, 4),
             number(one.error_nm, 3),
-            number(100 * one.share, 3),
+            number(one.floor_nm, 3),
+            number(100 * one.share, 3) if one.evaluated else "not evaluated",
             number(one.offset_nm, 2),
             number(100 * one.raw_share, 3),
             number(one.energy_error_j, 3),
@@ -141,7 +142,18 @@ def print_score(score: Score, before: str = "") -> None:
         )
         for one in score.joints
     ]
-    heads = ("joint", "torque, Nm", "error, Nm", "in %", "offset, Nm", "with offset, %", "work in 1 s, J", "in %", "σ")
+    heads = (
+        "joint",
+        "torque, Nm",
+        "error, Nm",
+        "floor, Nm",
+        "in %",
+        "offset, Nm",
+        "with offset, %",
+        "work in 1 s, J",
+        "in %",
+        "σ",
+    )
     how = f"at {score.cutoff_hz:.1f} Hz" if score.cutoff_hz else f"over increments of {score.increment_s:g} s"
     table((*heads, *(("spring, Nm",) if flexible else ())), rows, title=f"{before}{score.run.path or 'the run'} {how}")
     say(f"work of all motors in 1 s: {100 * score.arm_energy_share:.3g} % are left by the energy of the arm")

@@ -37,8 +37,10 @@ def command(
     """Compare the torques of runs with those that a model predicts, joint by joint.
 
     For each joint: root mean square of the measured torque and of the error, in Nm behind the gear and in per cent, and
-    of the work over one second that the error makes; the error in standard deviations of the torque's noise (σ). The
-    constant offset of each torque in each run is taken out first, and shown; "with offset" has it in it.
+    of the work over one second that the error makes; the error in standard deviations of the torque's noise (σ). On the
+    ground the floor stands beside the error: what the model leaves of its own simulated twin, because of noise, quanta
+    and filters. A joint whose torque is below five floors is not evaluated. The constant offset of each torque in each
+    run is taken out first, and shown; "with offset" has it in it.
 
     The model may be any: bodies or base parameters, from a drawing or from an estimate.
 

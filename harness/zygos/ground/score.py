@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 
 WINDOW_S = 1.0
 """Time over which energies are compared, s."""
+EVALUATED = 5.0
+"""Torque of a joint over its floor from which on its prediction is evaluated: below, its error says little of a
+model."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,14 @@ class JointScore:
     noise: 1 where only noise is left. NaN where increments are compared."""
     spring_nm: float = float("nan")
     """Root mean square of the torque at the link that neither spring nor bodies explain, Nm; NaN at a rigid joint."""
+    floor_nm: float = float("nan")
+    """error_nm of the model on its own simulated twin, which noise, quanta and filters cause, Nm; NaN where it is not
+    known."""
+
+    @property
+    def evaluated(self) -> bool:
+        """Whether the torque is large enough to say something of a model."""
+        return not self.measured_nm < EVALUATED * self.floor_nm
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,8 +85,9 @@ class Score:
 
     @property
     def share(self) -> float:
-        """Root mean square over the joints of their shares."""
-        return float(np.sqrt(np.mean([joint.share**2 for joint in self.joints])))
+        """Root mean square of the shares of the joints that are evaluated; NaN where none is."""
+        shares = [joint.share**2 for joint in self.joints if joint.evaluated]
+        return float(np.sqrt(np.mean(shares))) if shares else float("nan")
 
     def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """What `zygos predict --json` writes of a run."""
@@ -88,7 +100,7 @@ class Score:
             "increment_s": self.increment_s,
             "arm_energy_share": self.arm_energy_share,
             "share": self.share,
-            "joints": [asdict(joint) for joint in self.joints],
+            "joints": [{**asdict(joint), "evaluated": joint.evaluated} for joint in self.joints],
         }
 
     def __repr__(self) -> str:
@@ -130,7 +142,12 @@ def score(run: Run, model: Model, *, cutoff: float | None = None) -> Score:
         )
     rows = torque_rows(arm, motion.samples, wanted)
     values = model.base_values(arm)
-    return scored(run, model.name, rows, values, model.effects, motion)
+    found = scored(run, model.name, rows, values, model.effects, motion)
+    from zygos.ground.twin import floor  # noqa: PLC0415  (a twin is scored as its run is)
+
+    least = floor(motion, rows, values, model.effects)
+    joints = zip(found.joints, least.joints, strict=True)
+    return replace(found, joints=tuple(replace(one, floor_nm=own.error_nm) for one, own in joints))
 
 
 def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Sequence[Effect], motion: Motion) -> Score:

@@ -7,7 +7,7 @@ from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.fit import fit
 from zygos.gap.ground.predictions import Stage
 from zygos.gap.ground.search import Search, is_gain, without
-from zygos.gap.ground.twin import Twins, acting_of, predicted_load
+from zygos.ground.twin import Twins, acting_of, predicted_load
 from zygos.model.model import Model
 
 _MOST = 0.5

@@ -29,7 +29,6 @@ from zygos.gap.ground.search import Search, beside_all, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
 from zygos.gap.ground.timing import lateness, torque_constants
-from zygos.gap.ground.twin import Twins, increments_floor, predicted_load
 from zygos.gap.verdicts import (
     Changed,
     Inseparable,
@@ -50,6 +49,7 @@ from zygos.ground.estimate import DEFAULT_FRICTION, at_best_span, complete, esti
 from zygos.ground.motion import Motion
 from zygos.ground.rows import friction
 from zygos.ground.solution import Solution
+from zygos.ground.twin import Twins, increments_floor, predicted_load
 from zygos.model.model import Model, Quantity
 from zygos.quantiles import normal_sf, student_factor, student_isf
 from zygos.runs.cycles import Cycles

@@ -19,9 +19,9 @@ from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.fit import fit, jackknife, unknown
 from zygos.gap.ground.predictions import Stage
 from zygos.gap.ground.search import Search, is_gain
-from zygos.gap.ground.twin import Twins, predicted_load
 from zygos.gap.parts import Part, acted_on, parts_of
 from zygos.ground.motion import Motion
+from zygos.ground.twin import Twins, predicted_load
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]

@@ -20,8 +20,8 @@ from zygos.gap.ground.direction import PHASES, phases
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.fit import fit, jackknife
 from zygos.gap.ground.search import LEAST_Z
-from zygos.gap.ground.twin import predicted_load
 from zygos.ground.motion import Motion
+from zygos.ground.twin import predicted_load
 from zygos.plan.limits import Limits
 from zygos.plan.separating import LONGEST_S, Separating, most_separating, servo_of
 from zygos.runs.cycles import Cycles

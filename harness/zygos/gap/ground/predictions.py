@@ -12,20 +12,17 @@ from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.gap.adopted import Check, no_worse
-from zygos.gap.ground.twin import floor
 from zygos.gap.remainder import explained_share
 from zygos.gap.verdicts import Remainder
 from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_rows
-from zygos.ground.score import Score, scored
+from zygos.ground.score import EVALUATED, Score, scored
+from zygos.ground.twin import floor
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
 
 CLOSED = 3.0
 """Error of the predicted torques over what noise causes, up to which a run closes."""
-EVALUATED = 5.0
-"""Torque of a joint, or work of the arm, over its floor from which on its prediction is evaluated: below, its error
-says little of a model."""
 STRETCH_S = 0.5
 """Length of the stretches over which errors are compared, s."""
 BETTER = 0.5

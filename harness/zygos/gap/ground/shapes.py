@@ -12,7 +12,7 @@ from zygos.gap.ground.candidates import Candidate
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.fit import Fit, fit, residual
 from zygos.gap.ground.search import Search, Tried, search
-from zygos.gap.ground.twin import predicted_load
+from zygos.ground.twin import predicted_load
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
