@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_support import run
 from ground_gap_support import Array, Law, axis, measured, nothing, sign, size
 from ground_support import recorded, short_arm
+from pendulum_support import recordings
 
-from zygos.arm import load_arm
 from zygos.can.run import Run
 from zygos.errors import ZygosError
 from zygos.gap.ground.answer import as_json
@@ -27,10 +26,6 @@ from zygos.ground.score import score
 from zygos.model.model import Model, Quantity
 from zygos.report.provenance import provenance
 from zygos.reports import write_report
-from zygos.runs.tables import read_cycles
-
-PENDULUM = Path(__file__).parents[2] / "examples" / "pendulum"
-
 
 SECONDS = 8.0
 
@@ -263,14 +258,8 @@ def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_path: Path) -> None:
-    dbc_and_map = ("--dbc", PENDULUM / "arm.dbc", "--map", PENDULUM / "map.toml")
-    runs = []
-    for name in ("00", "01", "02", "03", "11"):
-        table = tmp_path / name / "run.npz"
-        table.parent.mkdir()
-        assert run("convert", PENDULUM / f"{name}.blf", *dbc_and_map, "-o", table) == 0
-        arm = load_arm(table.parent / "arm.toml")
-        runs.append(Run(arm, table=read_cycles(table, arm), path=table))
+    runs = list(recordings(tmp_path).values())
+    arm = runs[0].arm
     known = {"mz1": -0.349118, "Ixx1": 0.107862, "mz2": -0.111065, "Ixx2": 0.0239237}
     base = {
         name: Quantity(known.get(name, 0.0), 0.0, "test", unit)

@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 from itertools import combinations
-from pathlib import Path
 
 import pytest
-from cli_support import run
+from pendulum_support import NAMES, PENDULUM, recordings
 
-from zygos.arm import load_arm
 from zygos.can.run import Run
 from zygos.gap.ground.explain import explain_ground
 from zygos.ground.estimate import estimate_ground
 from zygos.ground.score import score
 from zygos.model.model import load_model
-from zygos.runs.tables import read_cycles
 
-PENDULUM = Path(__file__).parents[2] / "examples" / "pendulum"
-NAMES = ("00", "01", "02", "03", "11")
 NO_WORSE = 1.1
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Run]:
     """The five recordings."""
-    folder, out = tmp_path_factory.mktemp("pendulum"), {}
-    for name in NAMES:
-        table = folder / name / "run.npz"
-        table.parent.mkdir()
-        options = ("--dbc", PENDULUM / "arm.dbc", "--map", PENDULUM / "map.toml", "-o", table)
-        assert run("convert", PENDULUM / f"{name}.blf", *options) == 0
-        arm = load_arm(table.parent / "arm.toml")
-        out[name] = Run(arm, table=read_cycles(table, arm), path=table)
-    return out
+    return recordings(tmp_path_factory.mktemp("pendulum"))
 
 
 CHOICES = [" ".join(names) for count in (2, 3, 4) for names in combinations(NAMES, count)]

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from zygos.cli.shared import warn
-from zygos.errors import Undecided
+from zygos.cli.shared import conclude, warn
 from zygos.estimation.estimate import Estimation
 from zygos.estimation.words import losses
 from zygos.files.output import (
@@ -77,11 +76,5 @@ def finish_estimate(
     finally:
         if json:
             write_json(json, found.as_dict(heading))
-    if found.validity == "valid":
-        return
     number_of = f": {found.measured}" if found.measured else ""
-    said = f"{found.validity}: {found.reason}{number_of} ({where}); remedy: {found.remedy}"
-    if found.validity != "partial":
-        raise Undecided(said)
-    # the values that there are mean what they say
-    warn([said])
+    conclude(found.validity, f"{found.validity}: {found.reason}{number_of} ({where}); remedy: {found.remedy}")

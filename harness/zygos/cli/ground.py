@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zygos.cli.shared import warn
-from zygos.errors import Undecided
+from zygos.cli.shared import conclude
 from zygos.files.output import counted, named, number, quiet, ratio, say, table, write_json
 from zygos.ground.estimate import GroundEstimate
 from zygos.ground.payload import Payload, check_found
@@ -50,12 +49,7 @@ def finish_ground(
     finally:
         if json:
             write_json(json, found.as_dict())
-    said = f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}"
-    if found.validity == "partial":
-        # the values that there are mean what they say
-        warn([said])
-    elif found.validity != "valid":
-        raise Undecided(said)
+    conclude(found.validity, f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}")
 
 
 def finish_payload(found: Payload, out: Path, json: str | None) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from zygos.arm import Arm, Encoder, load_arm
 from zygos.can import run as recorded
 from zygos.can.run import Run, check_distinct, find_arm
-from zygos.errors import Damaged, ZygosError
+from zygos.errors import Damaged, Undecided, ZygosError
 from zygos.files.inputs import local
 from zygos.files.output import is_dash, note
 from zygos.files.progress import progress
@@ -113,6 +113,15 @@ def warn(texts: Sequence[str]) -> None:
     """Print warnings about the result."""
     for text in texts:
         note(f"warning: {text}")
+
+
+def conclude(validity: str, said: str) -> None:
+    """End a command that has given an estimate. said: validity, reason and remedy. Raises Undecided if the estimate is
+    doubtful or refused; the values of a partial one mean what they say, and a warning names the others."""
+    if validity == "partial":
+        warn([said])
+    elif validity != "valid":
+        raise Undecided(said)
 
 
 def not_whole(*damage: Sequence[str]) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm, Smoother
-from zygos.balances.joint import in_order
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import Undecided, ZygosError
@@ -20,6 +19,7 @@ from zygos.ground.rows import RunRows, columns_of, friction, run_rows
 from zygos.ground.score import Score, rms, score
 from zygos.ground.solution import Solution, solve
 from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
+from zygos.ground.twin import predicted_load
 from zygos.model.correlation import Correlation
 from zygos.model.model import Model, Quantity
 from zygos.quantiles import student_factor
@@ -499,18 +499,8 @@ def load_rounds(effects: Sequence[Effect]) -> int:
 
 
 def predicted_torque(motion: Motion, values: Floats | None) -> Floats | None:
-    """(instants, N) torque of bodies and rotors after the gear, from the smoothed motion. values: those of the arm's
-    parameters come first; None: nothing is predicted yet."""
-    if values is None:
-        return None
-    arm, h = motion.arm, motion.arm.period_s
-    columns = motion.columns
-    z = in_order(
-        arm,
-        np.gradient(columns.momentum, h, axis=0) - columns.force,
-        np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
-    )
-    return np.asarray(z @ values[: z.shape[-1]], dtype=np.float64)
+    """As `predicted_load`; None without values: nothing is predicted yet."""
+    return None if values is None else predicted_load(motion, values)
 
 
 def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:

@@ -145,9 +145,13 @@ def score(run: Run, model: Model, *, cutoff: float | None = None) -> Score:
     found = scored(run, model.name, rows, values, model.effects, motion)
     from zygos.ground.twin import floor  # noqa: PLC0415  (a twin is scored as its run is)
 
-    least = floor(motion, rows, values, model.effects)
-    joints = zip(found.joints, least.joints, strict=True)
-    return replace(found, joints=tuple(replace(one, floor_nm=own.error_nm) for one, own in joints))
+    return with_floor(found, floor(motion, rows, values, model.effects))
+
+
+def with_floor(found: Score, floor: Score) -> Score:
+    """The score beside that of a twin, whose errors are the floor."""
+    joints = zip(found.joints, floor.joints, strict=True)
+    return replace(found, joints=tuple(replace(one, floor_nm=least.error_nm) for one, least in joints))
 
 
 def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Sequence[Effect], motion: Motion) -> Score:

@@ -94,7 +94,8 @@ def _resting_friction(arm: Arm, effects: Sequence[Effect]) -> Floats:
 
 
 def predicted_load(motion: Motion, values: Floats) -> Floats:
-    """(m, N) torque of bodies and rotors after the gear at the smoothed instants, Nm."""
+    """(m, N) torque of bodies and rotors after the gear at the smoothed instants, Nm. values: those of the arm's
+    parameters come first."""
     arm, h = motion.arm, motion.arm.period_s
     columns = motion.columns
     z = in_order(
@@ -102,7 +103,7 @@ def predicted_load(motion: Motion, values: Floats) -> Floats:
         np.gradient(columns.momentum, h, axis=0) - columns.force,
         np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
     )
-    return np.asarray(z @ values, dtype=np.float64)
+    return np.asarray(z @ values[: z.shape[-1]], dtype=np.float64)
 
 
 def acting_of(effects: Sequence[Effect]) -> list[Effect]:

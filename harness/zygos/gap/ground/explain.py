@@ -107,16 +107,17 @@ class _Explainer:
         self.without = without
         self.arm, self.simulation, self.measured, self.validate = arm, simulation, tuple(measured), tuple(validate)
         self.step = step
+        self.usual = friction(arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
+        """The effects of a plain estimate."""
         self.notes: list[str] = []
 
     def explain(self) -> GroundExplanation:
         self.step(0.05, "the motion of the runs")
         motions = [Motion.of(run) for run in self.measured]
-        usual = friction(self.arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
-        span, _, rough = at_best_span(self.arm, motions, usual)
+        span, _, rough = at_best_span(self.arm, motions, self.usual)
         if self.arm.torque_unit == "A":
             motions = self._in_nm(motions, span)
-            span, _, rough = at_best_span(self.arm, motions, usual)
+            span, _, rough = at_best_span(self.arm, motions, self.usual)
         self.step(0.3, "the columns of all candidates")
         values = rough.value[: len(self.arm.parameter_names)]
         table, found = self._searched(motions, span, values, wide=False)
@@ -211,8 +212,7 @@ class _Explainer:
 
     def _plain(self) -> Model:
         """The estimate with friction at every motor. Errors: Undecided where it is refused."""
-        usual = friction(self.arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
-        return complete(estimate_ground(self.measured, effects=usual, doubtful=True).to_model(), self.arm)
+        return complete(estimate_ground(self.measured, effects=self.usual, doubtful=True).to_model(), self.arm)
 
     def _values_of(self, model: Model) -> tuple[Value, ...]:
         """Of another model than that with what was found."""
@@ -344,14 +344,13 @@ class _Explainer:
             self.notes.append("no run was kept apart, so that nothing says how well the result predicts another run")
             return None
         p = len(self.arm.parameter_names)
-        usual = friction(self.arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
         baselines = (
             Stage("as delivered", table.layout.start[:p], tuple(self.simulation.effects)),
             stage_of(table.layout, "refit", found.before),
             Stage(
                 "plain estimate",
                 plain.value[:p],
-                tuple(replace(e, value=max(float(x), 0.0)) for e, x in zip(usual, plain.value[p:], strict=True)),
+                tuple(replace(e, value=max(float(x), 0.0)) for e, x in zip(self.usual, plain.value[p:], strict=True)),
             ),
         )
         gap = GroundGap(tuple(predict(run, *baselines) for run in self.validate))

@@ -15,7 +15,7 @@ from zygos.gap.adopted import Check, no_worse
 from zygos.gap.remainder import explained_share
 from zygos.gap.verdicts import Remainder
 from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_rows
-from zygos.ground.score import EVALUATED, Score, scored
+from zygos.ground.score import Score, scored, with_floor
 from zygos.ground.twin import floor
 from zygos.model.model import Model
 
@@ -50,6 +50,7 @@ class Prediction:
     """An untouched run, predicted by the baselines and by the model that was found; m instants, N joints."""
 
     run: Run
+    motion: Motion
     rows: TorqueRows
     delivered: Score
     refit: Score
@@ -77,8 +78,7 @@ class Prediction:
     @property
     def evaluated(self) -> NDArray[np.bool_]:
         """(N,) which joints have torques that are large enough to say something of a model."""
-        measured = np.array([joint.measured_nm for joint in self.closed.joints])
-        return np.asarray(measured >= EVALUATED * self.floor_nm)
+        return np.array([joint.evaluated for joint in self.closed.joints])
 
     @property
     def error(self) -> Floats:
@@ -103,8 +103,8 @@ class Prediction:
 
     def closed_by(self, stage: Stage) -> Prediction:
         """With another model as the one that was found."""
-        motion = Motion.of(self.run)
-        return replace(self, closed=scored(self.run, stage.name, self.rows, stage.values, stage.effects, motion))
+        found = scored(self.run, stage.name, self.rows, stage.values, stage.effects, self.motion)
+        return replace(self, closed=with_floor(found, self.floor))
 
     def comparisons(self) -> tuple[Check, ...]:
         """The model found beside the best baseline: torques in units of their floors, in the median over stretches
@@ -141,7 +141,8 @@ def predict(run: Run, delivered: Stage, refit: Stage, plain: Stage) -> Predictio
     stages = (delivered, refit, plain)
     first, second, third = scores = [scored(run, one.name, rows, one.values, one.effects, motion) for one in stages]
     best, _ = min(zip(stages, scores, strict=True), key=lambda each: sum(one.error_nm**2 for one in each[1].joints))
-    return Prediction(run, rows, first, second, third, third, floor(motion, rows, best.values, best.effects))
+    least = floor(motion, rows, best.values, best.effects)
+    return Prediction(run, motion, rows, first, second, third, with_floor(third, least), least)
 
 
 def share_of_energy(predictions: Sequence[Prediction], name: str) -> float:
