@@ -103,7 +103,7 @@ TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak
 # Compiled test modules are kept: pytest rewrites every assertion of a module that it compiles.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 # What all quick tests and all tests may take, in units of a loop that tests/support/tiers.py measures on the same machine.
-QUICK_BUDGET := 5200
+QUICK_BUDGET := 6000
 WHOLE_BUDGET := 33000
 test: build node $(VENV)/.test ## the quick tests, a process for each core
 	$(PYTEST) --budget $(QUICK_BUDGET) -m "not slow" $(TESTS)
