@@ -1,4 +1,4 @@
-"""Writes the reference pages in docs/reference/: the keys of the files, the codes of the C library, the JSON outputs.
+"""Writes the reference pages in docs/reference/: keys of files, codes of the C library, JSON outputs, limits.
 
 Usage: reference.py [FOLDER]
 """
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from reference_pages.codes import codes_page
 from reference_pages.keys import FILES, answers_page, keys_page
+from reference_pages.limits import limits_page
 from reference_pages.outputs import json_page
 
 from zygos.files.output import write_text
@@ -18,7 +19,13 @@ PAGES = Path(__file__).resolve().parents[1] / "docs" / "reference"
 def pages() -> dict[str, str]:
     """Every page by its name."""
     found = {Path(file.name).stem + ".md": keys_page(file) for file in FILES}
-    return found | {"answers.md": answers_page(), "codes.md": codes_page(), "json.md": json_page()}
+    others = {
+        "answers.md": answers_page(),
+        "codes.md": codes_page(),
+        "json.md": json_page(),
+        "limits.md": limits_page(),
+    }
+    return found | others
 
 
 def main() -> None:

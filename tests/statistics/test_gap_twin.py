@@ -19,17 +19,17 @@ from gap_support import Floats, centred, dense, effect, noisy, rms, true_columns
 from runs_support import trajectory_of
 from threadpoolctl import threadpool_limits
 
+from zygos import limits
 from zygos.arm import TORQUE_STEP, Arm, Joint, Smoother
 from zygos.balances.readings import Readings
 from zygos.dynamics.compiled import Planar
 from zygos.effects import Effect
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows, thinning, zero_columns
-from zygos.gap.experiment import THRESHOLD
 from zygos.gap.fit import Fit, fit
 from zygos.gap.record import MeasuredRun, read_measured_run, smoothed_states
 from zygos.gap.search import candidates
-from zygos.gap.study import DRAWS, Study, base_values, begin, coefficient, read_hypothesis
+from zygos.gap.study import Study, base_values, begin, coefficient, read_hypothesis
 from zygos.gap.twin import Twin, draws, follow, measure
 from zygos.model.model import Model
 from zygos.native.flight import encode
@@ -154,7 +154,7 @@ def ensemble(noise: EncoderNoise) -> Ensemble:
         one = replace(first, records=runs, sums=seen, fit=fit(first.hypothesis, seen, first.weight))
         rho.append(one.excess)
         pull.append((one.value - truth) / one.spread)
-        z.append({candidate.name: candidate.z for candidate in candidates(one, one, THRESHOLD)})
+        z.append({candidate.name: candidate.z for candidate in candidates(one, one, limits.NAMED_Z.value)})
     return Ensemble(np.array(rho), np.array(pull), {name: np.array([one[name] for one in z]) for name in z[0]})
 
 
@@ -172,7 +172,7 @@ def beyond(values: Floats, target: float, shared: Floats | float) -> Floats:
 def test_rho_of_a_null_run_is_1(noise: EncoderNoise) -> None:
     first, seen = study(), ensemble(noise)
     drawn = fit(first.hypothesis, first.twin_sums, first.weight).rms / first.noise
-    shared = drawn.std(axis=0, ddof=1) / np.sqrt(DRAWS)
+    shared = drawn.std(axis=0, ddof=1) / np.sqrt(limits.DRAWS.value)
     off = beyond(seen.rho, 1.0, shared)
     print(noise, seen.rho.mean(axis=0).round(4).tolist(), off.round(1).tolist())
     if noise == "gaussian":
@@ -190,9 +190,9 @@ def test_z_of_every_candidate_is_standard_on_null_runs(noise: EncoderNoise) -> N
     degrees of freedom, whose deviation is sqrt(19/17), about a mean that is itself off by 1/sqrt(20)."""
     seen = ensemble(noise)
     assert len(seen.z) == 11
-    wide = np.sqrt((DRAWS - 1) / (DRAWS - 3))
-    mean_error = wide * np.sqrt(1.0 / SEEDS + 1.0 / DRAWS)
-    deviation_error = wide * np.sqrt(0.5 / (SEEDS - 1) + 0.5 / (DRAWS - 1))
+    wide = np.sqrt((limits.DRAWS.value - 1) / (limits.DRAWS.value - 3))
+    mean_error = wide * np.sqrt(1.0 / SEEDS + 1.0 / limits.DRAWS.value)
+    deviation_error = wide * np.sqrt(0.5 / (SEEDS - 1) + 0.5 / (limits.DRAWS.value - 1))
     z = np.stack([seen.z[name] for name in sorted(seen.z)])
     for name, one in sorted(seen.z.items()):
         print(noise, name, one.mean(axis=0).round(2), one.std(axis=0, ddof=1).round(2))
@@ -209,11 +209,11 @@ def test_z_of_every_candidate_is_standard_on_null_runs(noise: EncoderNoise) -> N
 @pytest.mark.parametrize("noise", ["gaussian", "quantised"])
 def test_values_are_right_within_their_spread(noise: EncoderNoise) -> None:
     seen = ensemble(noise)
-    wide = np.sqrt((DRAWS - 1) / (DRAWS - 3))
+    wide = np.sqrt((limits.DRAWS.value - 1) / (limits.DRAWS.value - 3))
     print(noise, seen.pull.mean(axis=0).round(2), seen.pull.std(axis=0, ddof=1).round(2))
-    band = 3.0 * wide * np.sqrt(1.0 / SEEDS + 1.0 / DRAWS)
+    band = 3.0 * wide * np.sqrt(1.0 / SEEDS + 1.0 / limits.DRAWS.value)
     assert np.abs(seen.pull.mean(axis=0)).max() < band + (ROUNDING_PULL if noise == "quantised" else 0.0)
-    deviation_error = wide * np.sqrt(0.5 / (SEEDS - 1) + 0.5 / (DRAWS - 1))
+    deviation_error = wide * np.sqrt(0.5 / (SEEDS - 1) + 0.5 / (limits.DRAWS.value - 1))
     assert np.abs(seen.pull.std(axis=0, ddof=1) - 1.0).max() < 3.0 * deviation_error
 
 
@@ -332,7 +332,7 @@ def test_draws_of_a_twin_scatter_about_what_it_was_made_with() -> None:
     one = study()
     truth = np.array([coefficient(one.model, one.hypothesis, name) for name in one.hypothesis.names])
     found = fit(one.hypothesis, one.twin_sums, one.weight)
-    assert found.value.shape == (DRAWS, len(truth))
+    assert found.value.shape == (limits.DRAWS.value, len(truth))
     values, h = base_values(one.model, one.layout), one.layout.balances.index("H")
     exact = [
         accumulate(balance_rows(Layout(twin.arm), twin.exact, values, every=thinning(twin.arm)), kept, (h,))

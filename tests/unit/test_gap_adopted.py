@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from conftest import EXAMPLE
+from zygos import limits
 from zygos.arm import Arm, load_arm
 from zygos.effects import CATALOGUE, Effect
-from zygos.gap.adopted import NOT_WORSE, Adopted, Check, NotAdopted, no_worse
+from zygos.gap.adopted import Adopted, Check, NotAdopted, no_worse
 from zygos.gap.findings import Disagreement, Value
 from zygos.gap.sentences import verdict
 from zygos.gap.verdicts import RunsDisagree, ValuesDiffer
@@ -78,7 +79,7 @@ def test_effects_lie_within_their_bounds(arm: Arm, key: str, size: float, fits: 
 
 def test_a_model_is_no_worse_than_the_best_baseline(arm: Arm) -> None:
     baselines = [("as delivered", 3.0), ("refit", 2.0), ("plain estimate", np.nan)]
-    good = no_worse("the error", "sigma", NOT_WORSE * 2.0, baselines)
+    good = no_worse("the error", "sigma", limits.NOT_WORSE.value * 2.0, baselines)
     assert good.holds and "refit" in good.sentence
     assert no_worse("the error", "sigma", 2.9, baselines, closed=3.0).holds
     for bad in (2.3, np.nan, np.inf):

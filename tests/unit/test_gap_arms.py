@@ -18,14 +18,14 @@ from trial_support import runs_of, sampled
 from oracles.arms import Plant, Trial, spatial
 from oracles.hidden import Law, LinkViscous, MotorCoulomb, TidalField
 from oracles.tree import Payload
+from zygos import limits
 from zygos.dynamics.equations import from_model, parameters
 from zygos.effects import CATALOGUE, columns_at
 from zygos.gap.balances import Acting, thinning, zero_columns
 from zygos.gap.changes import BODIES, find_change, settled
-from zygos.gap.explain import SMALL
 from zygos.gap.fit import fit, shares_of_pairs
 from zygos.gap.forecast import cut, cut_twin, forecast
-from zygos.gap.null import FALSE_ALARMS, FLOOR, chance, null_scores, null_sigmas
+from zygos.gap.null import chance, null_scores, null_sigmas
 from zygos.gap.record import MeasuredRun
 from zygos.gap.runs import record_of
 from zygos.gap.study import Study, again, base_values
@@ -104,7 +104,7 @@ def test_a_run_that_lacks_nothing_closes_as_its_twin(name: str) -> None:
     for column in ("motor_coulomb1", "link_coulomb1"):
         _, _, z = scores(found, column)
         print(column, z)
-        assert min(abs(x) for x in z) < FLOOR
+        assert min(abs(x) for x in z) < limits.NAMED_Z.value
 
 
 @pytest.mark.slow(but=["motor_coulomb2-standing"])
@@ -115,7 +115,7 @@ def test_what_is_hidden_stands_out_with_its_size(name: str, column: str) -> None
     assert np.nanmax(found.excess) > 2.0
     got, sigma, z = scores(found, column)
     print(got, sigma, z)
-    assert min(z) > 3.0 * FLOOR
+    assert min(z) > 3.0 * limits.NAMED_Z.value
     after = again(found, replace(found.hypothesis, effects=(column,)))
     print(found.excess.round(1), after.excess.round(2), after.value[-1])
     assert after.value[-1] == pytest.approx(value, rel=0.01)
@@ -138,11 +138,11 @@ def test_what_was_recorded_after_a_payload_closes_in_a_few_steps() -> None:
     assert (change.what, change.run, change.arc, change.torn) == (BODIES, 1, 1, True)
     assert (change.before_s, change.after_s) == pytest.approx((10.0, 20.0), abs=0.1)
     assert change.share > 0.95
-    apart = settled(found, change, SMALL)
+    apart = settled(found, change, limits.CLOSED_BALANCE.value)
     assert apart is not None
     _, now, was = apart
     print(now.excess, now.value - was.value if was else None)
-    assert np.nanmax(now.excess) < SMALL
+    assert np.nanmax(now.excess) < limits.CLOSED_BALANCE.value
     assert was is not None
 
 
@@ -156,11 +156,13 @@ def test_the_largest_score_of_runs_that_lack_nothing() -> None:
     largest = np.abs(every).max(axis=1)
     assert np.median(largest) > np.median(np.abs(every[:, 0]))
     luck = chance(found, CANDIDATES)
-    assert (luck.threshold, luck.runs, luck.candidates, luck.freedom) == (FLOOR, 2, len(CANDIDATES), 19)
+    assert (luck.threshold, luck.runs, luck.candidates, luck.freedom) == (limits.NAMED_Z.value, 2, len(CANDIDATES), 19)
     assert 1.0 < luck.count < 2.0 * len(CANDIDATES)
-    assert 0.0 < luck.false_alarms < FALSE_ALARMS
+    assert 0.0 < luck.false_alarms < limits.FALSE_ALARMS.value
     assert luck.rate(luck.needed(0.05)) == pytest.approx(0.05)
-    assert chance(found, CANDIDATES, 1e-12).threshold > max(FLOOR, chance(found, CANDIDATES[:1], 1e-12).threshold)
+    assert chance(found, CANDIDATES, 1e-12).threshold > max(
+        limits.NAMED_Z.value, chance(found, CANDIDATES[:1], 1e-12).threshold
+    )
     spread = np.array(
         [found.of_twin(replace(found.hypothesis, effects=(name,))).of(name).std(ddof=1) for name in CANDIDATES]
     )
@@ -272,4 +274,4 @@ def test_a_column_of_every_site_can_be_fitted() -> None:
     for name in (one.name for one in own):
         _, sigma, z = scores(found, name)
         assert sigma > 0.0
-        assert min(abs(x) for x in z) < FLOOR, (name, z)
+        assert min(abs(x) for x in z) < limits.NAMED_Z.value, (name, z)

@@ -17,13 +17,13 @@ from plant_runs_support import planar_trial, records
 from oracles.arms import Plant
 from oracles.hidden import BoucWen, Sliders, motor_eccentricity
 from oracles.tree import Swinging
+from zygos import limits
 from zygos.effects import CATALOGUE, Kind, Memory, Motion
 from zygos.effects.memory import at_rest
 from zygos.errors import ZygosError
 from zygos.gap.balances import Acting
 from zygos.gap.findings import Finding, Significance
 from zygos.gap.fit import Hypothesis
-from zygos.gap.null import FLOOR
 from zygos.gap.record import MeasuredRun
 from zygos.gap.search import completeness, polished, search
 from zygos.gap.sentences import listed
@@ -75,7 +75,7 @@ def test_nothing_stands_out_where_nothing_is_hidden() -> None:
     assert np.all(np.abs(found.excess**2 - 1.0) < np.maximum(0.3, 4.0 * found.wobble))
     for one in OWN:
         _, z = scores(found, one.name)
-        assert min(abs(x) for x in z) < FLOOR
+        assert min(abs(x) for x in z) < limits.NAMED_Z.value
 
 
 @pytest.mark.slow(but=["motor_eccentricity_sin2"])
@@ -85,7 +85,7 @@ def test_what_is_hidden_stands_out_with_its_size(name: str) -> None:
     assert np.nanmax(found.excess) > 2.0
     name = name.partition(" ")[0]
     got, z = scores(found, name)
-    assert min(abs(x) for x in z) > 3.0 * FLOOR
+    assert min(abs(x) for x in z) > 3.0 * limits.NAMED_Z.value
     assert got == pytest.approx(TRUE.get(name, SIZE), rel=0.1 if "oscillator" in name else 0.02)
     share = {one.name: min(completeness(found, found.of(of(found, one.name)).rms)) for one in OWN}
     # laws that bend before they slide are twins

@@ -10,13 +10,14 @@ from trial_support import runs_of, sampled
 
 from oracles.arms import Plant, planar
 from oracles.hidden import BaseDrag, Law, LinkCoulomb, LinkViscous
+from zygos import limits
 from zygos.dynamics.equations import from_model
 from zygos.effects import CATALOGUE
 from zygos.gap.balances import Acting, Layout
-from zygos.gap.null import FLOOR, chance
+from zygos.gap.null import chance
 from zygos.gap.runs import record_of
-from zygos.gap.search import AGREEMENT, Candidate, Search, candidates, completeness, rivals, unsteady
-from zygos.gap.study import FEW, Study, again, begin, laid_out, read_hypothesis
+from zygos.gap.search import Candidate, Search, candidates, completeness, rivals, unsteady
+from zygos.gap.study import Study, again, begin, laid_out, read_hypothesis
 
 COULOMB, VISCOUS, DRAG = "link_coulomb1", "link_viscous1", "drag on the base"
 HIDDEN: dict[str, Law] = {COULOMB: LinkCoulomb(0, 0.5), VISCOUS: LinkViscous(0, 2.0), DRAG: BaseDrag(0, 20.0)}
@@ -35,7 +36,7 @@ def before(hidden: str) -> Study:
 
 def tried(study: Study, name: str) -> Candidate:
     """A usual entry as it is judged."""
-    (one,) = (c for c in candidates(study, study, FLOOR) if c.name == name)
+    (one,) = (c for c in candidates(study, study, limits.NAMED_Z.value) if c.name == name)
     return one
 
 
@@ -55,7 +56,7 @@ def test_what_is_taken_for_a_usual_entry_is_found_in_the_catalogue(hidden: str, 
     print(found.before.excess.round(2), found.after.excess.round(2), found.completeness)
     last = [Acting(CATALOGUE["link_viscous"], i) for i in (0, 1)]
     last += [Acting(CATALOGUE["link_dahl"], 0, shape=0.001), Acting(CATALOGUE["load_friction"], 0)]
-    every = laid_out(found.after, replace(found.after.layout, own=tuple(last)), FEW)
+    every = laid_out(found.after, replace(found.after.layout, own=tuple(last)), limits.FEW_DRAWS.value)
     # friction that bends over a short distance becomes Coulomb friction, and is no other law
     assert [one.name for one in rivals(found, every)] == instead
 
@@ -72,7 +73,7 @@ def test_runs_that_agree_on_a_size_must_agree_with_all_of_them_together() -> Non
     study = before(DRAG)
     one = tried(study, COULOMB)
     print(one.each, one.value, one.z)
-    assert max(one.each) - min(one.each) < AGREEMENT * one.value
-    assert one.value < (1.0 - AGREEMENT) * min(one.each)
+    assert max(one.each) - min(one.each) < limits.AGREE_SHARE.value * one.value
+    assert one.value < (1.0 - limits.AGREE_SHARE.value) * min(one.each)
     assert one.against == "inconsistent"
     assert not tried(before(COULOMB), COULOMB).against

@@ -9,12 +9,13 @@ from plant_runs_support import planar_trial, records
 
 from oracles.arms import Plant
 from oracles.hidden import MotorCoulomb
+from zygos import limits
 from zygos.dynamics.equations import from_model
 from zygos.effects import CATALOGUE
 from zygos.gap import explain as module
 from zygos.gap.balances import Layout
 from zygos.gap.findings import Finding, Significance
-from zygos.gap.null import FLOOR, chance
+from zygos.gap.null import chance
 from zygos.gap.record import MeasuredRun
 from zygos.gap.search import Search, candidates, struck
 from zygos.gap.sentences import verdict as said
@@ -50,7 +51,7 @@ def runs() -> tuple[MeasuredRun, ...]:
 def found(runs: tuple[MeasuredRun, ...]) -> Search:
     """A search that named the friction, and another effect beside it."""
     before = begin(runs, read_hypothesis(Layout(ARM), MODEL), from_model(ARM, MODEL))
-    listed = {one.name: one for one in candidates(before, before, FLOOR)}
+    listed = {one.name: one for one in candidates(before, before, limits.NAMED_Z.value)}
     effects = (*before.hypothesis.effects, REAL, SPURIOUS)
     after = again(before, replace(before.hypothesis, effects=effects))
     names = (listed[REAL], listed[SPURIOUS])

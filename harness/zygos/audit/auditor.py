@@ -10,63 +10,18 @@ from functools import cached_property
 
 import numpy as np
 
+from zygos import limits
 from zygos.arm import ANGLE_STEP, Arm, Encoder, Joint, rounded
 from zygos.audit.balance import KINDS, Balance, WholeFault, flattened
 from zygos.audit.encoders import pair, unskewed
 from zygos.audit.findings import Audit, Pair, Signal, SignalFault, Traffic, signal_names
-from zygos.audit.means import FLAT_QUANTA, Array, Means
+from zygos.audit.means import Array, Means
 from zygos.audit.motors import NOTHING, Change, Motors, changed
 from zygos.audit.readings import grid_step, noise_beside, noise_level, runs_of_equal
 from zygos.audit.rigid import Reading, RigidLaw
 from zygos.errors import ZygosError
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import segments
-
-SURE = 1.5
-"""Factor by which the unexplained part of the equations must shrink before a fault is reported. In trials with the
-examples, wrong readings left 1.9 times as much or more, and changes to correct readings did not shrink it
-(tests/unit/test_audit.py)."""
-SURE_LAW, LIKELY_LAW = 1.15, 1.03
-"""The same for the torque law, whose effect is small: in the trials a wrong law left 1.2 times as much or more, and the
-best one at most 0.97 of the next. If the declared law is better by less than that, it is not decided."""
-SURE_SCALE = 4.0
-"""The same for the scale of a torque, which is fitted. In eight correct runs of a simulated arm of seven joints,
-another scale of one torque fitted up to 1.9 times better (tests/unit/test_rigid_audit.py)."""
-SCALE_OFF = 1.2
-"""A scale is reported if it is off by more than that factor."""
-CLOSES = 0.4
-"""Largest share of each torque that the law of the whole rigid arm leaves unexplained after a reported change. A
-simulated arm of seven joints leaves 0.003 to 0.09, a real pendulum of two joints 0.05 to 0.31."""
-EXPLAINED = 0.9
-"""Largest unexplained share of a torque at which its sign is still decided."""
-FITS, FITS_WELL = 0.5, 0.1
-"""Limits of the share of a torque that its motor's law alone leaves unexplained. Above the first, the law does not fit
-and no fault is reported from it; below the second, it needs no confirmation by the balance. Simulated joints leave at
-most 0.04, those of a KUKA KR300 0.44, and a real pendulum of two coupled rigid joints 0.4 to 0.9."""
-FLATTENED_SIGMAS = 3.5
-"""A smoother of the next order moves a value by more than so many standard deviations where the declared one takes too
-much off the motion. Noise reaches 2.6 in the trials of the examples, a motion that is flattened 5.3
-(tests/unit/test_audit.py)."""
-SKEW_SIGMAS, SKEW_SHARE = 4.0, 0.1
-"""A skew is reported if it exceeds that many standard errors and that share of the period."""
-ZERO_SIGMAS = 6.0
-NOISE_FACTOR = 4.0
-"""Noise above that multiple of the declared one is reported; the steps of a held torque cause 1.1 in the trials."""
-AS_NOISY = 0.5
-"""Share of the declared noise from which readings whose steps are finer than declared need them: `zygos convert` adds
-the noise of interpolation to a quantum, and keeps the readings where the samples lie on the grid."""
-TORQUE_NOISE_SHARE = 1e-3
-"""Noise of a torque is reported if it exceeds this share of its standard deviation; below, it is the curvature of the
-command. The examples' torques reach 4e-5, measured ones 6e-3 or more."""
-FOLLOWS, ALONE = 0.3, 0.95
-"""Limits of the share of a torque's noise that is not correlated with other readings. Below the first, a controller
-produces the noise from those readings; above the second, it is independent of them. In between nothing is decided."""
-FLAT_CYCLES, FLAT_SHARE = 20, 0.02
-"""A reading is stuck if its code is constant that long while its partner moves by more than this share of its range."""
-FLAT_TOPS, FLAT_TOP_CYCLES = 3, 3
-"""That many runs of that many equal codes at an end of the range indicate saturation rather than chance."""
-LOST = 0.02
-"""Share of lost cycles above which the loss is reported."""
 
 
 def audit(
@@ -188,7 +143,7 @@ class _Auditor:
 
     def _traffic(self) -> None:
         measured = self.traffic.period_s
-        if math.isfinite(measured) and abs(measured / self.arm.period_s - 1.0) > 0.005:
+        if math.isfinite(measured) and abs(measured / self.arm.period_s - 1.0) > limits.PERIOD_OFF.value:
             self.find(
                 "SYNC",
                 f"every {1e3 * measured:.4g} ms, not {1e3 * self.arm.period_s:.4g} ms",
@@ -197,7 +152,7 @@ class _Auditor:
             )
         for name, _, _ in self.names:
             share = self._share(name)
-            if share < 1.0 - LOST:
+            if share < 1.0 - limits.LOST.value:
                 self.find(
                     name,
                     "missing" if share == 0.0 else f"loses {100 * (1 - share):.1f} %",
@@ -245,7 +200,7 @@ class _Auditor:
 
     def _flat_one(self, kind: str, i: int) -> tuple[str, str] | None:
         readings: Array = getattr(self.cycles, kind)[:, i]
-        flat = runs_of_equal(readings, self.ranges, FLAT_TOP_CYCLES)
+        flat = runs_of_equal(readings, self.ranges, limits.FLAT_TOP_CYCLES.value)
         if not flat:
             return None
         valid = np.concatenate([readings[a:b] for a, b in self.ranges])
@@ -257,9 +212,13 @@ class _Auditor:
                 # at a turning point the code of an encoder is constant; there the partner must continue to move
                 tops = tops if kind in ("tau", "omega") else [t for t in tops if t in moving]
                 length = sum(b - a for a, b in tops)
-                if len(tops) >= FLAT_TOPS and length > 0.002 * len(valid):
+                if len(tops) >= limits.FLAT_TOPS.value and length > limits.FLAT_TOP.value * len(valid):
                     return "saturated", f"{length} cycles at {end:.6g}, in {len(tops)} runs"
-        stuck = [(a, b) for a, b in moving if b - a >= FLAT_CYCLES and not (kind == "tau" and readings[a] == 0.0)]
+        stuck = [
+            (a, b)
+            for a, b in moving
+            if b - a >= limits.FLAT_CYCLES.value and not (kind == "tau" and readings[a] == 0.0)
+        ]
         if ends[0] == ends[1]:
             stuck = moving
         if stuck:
@@ -278,9 +237,9 @@ class _Auditor:
             )
             for partner in partners:
                 readings: Array = getattr(self.cycles, partner)[:, j]
-                quanta = FLAT_QUANTA * (self._step("q", j) + self._step("theta", j))
+                quanta = limits.FLAT_QUANTA.value * (self._step("q", j) + self._step("theta", j))
                 whole = max(float(np.ptp(readings[c:d])) for c, d in self.ranges)
-                if float(np.ptp(readings[a:b])) > max(quanta, FLAT_SHARE * whole):
+                if float(np.ptp(readings[a:b])) > max(quanta, limits.FLAT.value * whole):
                     return True
         return False
 
@@ -309,8 +268,12 @@ class _Auditor:
             quantum = encoder.quantum_rad
             noise = noise_level(readings, self.ranges)
             declared = self._declared_noise(kind, i)
-            interpolated = step < quantum and noise >= AS_NOISY * declared
-            if math.isfinite(step) and abs(step / max(quantum, ANGLE_STEP) - 1.0) > 0.02 and not interpolated:
+            interpolated = step < quantum and noise >= limits.AS_NOISY.value * declared
+            if (
+                math.isfinite(step)
+                and abs(step / max(quantum, ANGLE_STEP) - 1.0) > limits.STEP_OFF.value
+                and not interpolated
+            ):
                 self.find(
                     name,
                     f"moves in steps of 2π/{2 * math.pi / step:.0f}, not 2π/{2 * math.pi / quantum:.0f}",
@@ -318,7 +281,7 @@ class _Auditor:
                     f"quantum_rad = {step:.6g}",
                 )
                 continue
-            if noise > NOISE_FACTOR * declared:
+            if noise > limits.NOISE_OFF.value * declared:
                 self.find(
                     name,
                     f"noisier than declared by a factor of {noise / declared:.1f}",
@@ -357,9 +320,9 @@ class _Auditor:
         own, whole, unit = self._noise("tau", i), noise_level(readings, self.ranges), self.arm.torque_unit
         declared = self.arm.over_the_wire.joints[i].torque_sigma
         valid = np.concatenate([readings[a:b] for a, b in self.ranges] or [np.zeros(1)])
-        if not own > max(NOISE_FACTOR * declared, TORQUE_NOISE_SHARE * float(np.std(valid))):
+        if not own > max(limits.NOISE_OFF.value * declared, limits.TORQUE_NOISE_SEEN.value * float(np.std(valid))):
             return
-        if FOLLOWS < own / whole < ALONE:
+        if limits.FOLLOWS.value < own / whole < limits.ALONE.value:
             self.notes.append(
                 f"{name}: changes from cycle to cycle by {whole:.2g} {unit}, and "
                 f"{100 * (1 - (own / whole) ** 2):.0f} % of the variance is correlated with the readings of "
@@ -402,14 +365,20 @@ class _Auditor:
         for _ in range(3 * len(use)):
             now = motors.total(NOTHING)
             ranked = sorted(((motors.total(c), k, c) for k, c in enumerate(motors.changes())), key=lambda r: r[:2])
-            held = [r for r in ranked if now - r[0] < math.log(SURE) or self._holds(motors, r[2], cycles, broken)]
-            if not held or now - held[0][0] < math.log(SURE):
+            held = [
+                r
+                for r in ranked
+                if now - r[0] < math.log(limits.AUDIT_SURE.value) or self._holds(motors, r[2], cycles, broken)
+            ]
+            if not held or now - held[0][0] < math.log(limits.AUDIT_SURE.value):
                 self._doubt(motors, ranked[0][2] if ranked and ranked[0] not in held else NOTHING)
                 break
             ranked = held
             total, _, change = ranked[0]
             rivals = [
-                r[2] for r in ranked[1:] if r[0] - total < math.log(SURE) and set(r[2].joints) & set(change.joints)
+                r[2]
+                for r in ranked[1:]
+                if r[0] - total < math.log(limits.AUDIT_SURE.value) and set(r[2].joints) & set(change.joints)
             ]
             if change.what == "scaled":
                 # the scale of a motor's law is unknown: the wrong angle is the one whose noise differs from the
@@ -418,7 +387,7 @@ class _Auditor:
                     (self._noise_off(c), k, c) for k, c in enumerate([change, *rivals]) if c.what == "scaled"
                 )
                 change = alike[0][2]
-                rivals = [c for off, _, c in alike[1:] if off - alike[0][0] < math.log(NOISE_FACTOR)]
+                rivals = [c for off, _, c in alike[1:] if off - alike[0][0] < math.log(limits.NOISE_OFF.value)]
             self._name(change, math.exp(now - total), rivals[0] if rivals else None)
             touched |= set(change.joints)
             cycles = changed(cycles, change, self.zeros)
@@ -428,12 +397,12 @@ class _Auditor:
             joint = self.arm.joints[i]
             if i in touched:
                 continue
-            if motors.left(i, NOTHING) > FITS and not joint.flexible and len(use) > 1:
+            if motors.left(i, NOTHING) > limits.MOTOR_FITS.value and not joint.flexible and len(use) > 1:
                 self.unfit.append(i)
                 continue
             here = motors.score(i, NOTHING)
             turned = motors.score(i, Change("inverted", "tau", (i,), (i,), -1.0))
-            if turned - here < math.log(SURE) or math.exp(here) > EXPLAINED:
+            if turned - here < math.log(limits.AUDIT_SURE.value) or math.exp(here) > limits.SIGN_EXPLAINED.value:
                 self.undecided.add(self.name("tau", i))
                 self.notes.append(
                     f"{joint.name}: the sign of the torque is not decided "
@@ -475,7 +444,7 @@ class _Auditor:
 
     def _closes(self, law: RigidLaw, reading: Reading, use: list[int]) -> bool:
         share = law.score(reading).share[[i for i in use if i in law.with_rows]]
-        return bool(np.all(share <= CLOSES))
+        return bool(np.all(share <= limits.AUDIT_CLOSES.value))
 
     def _best_reading(self, law: RigidLaw, declared: Reading, use: list[int]) -> Reading:
         """The hypothesis to which each step is clearly better than the one before."""
@@ -486,13 +455,13 @@ class _Auditor:
         now = declared
         for _ in range(3 * len(use)):
             best = best_of(law.torque_changes(now, use))
-            if not self._clearly(law, now, best, SURE):
+            if not self._clearly(law, now, best, limits.AUDIT_SURE.value):
                 break
             now = best
         if not self._closes(law, now, use):
             # the columns of each angle change take long, so that these come only where no torque is the reason
             best = best_of(law.angle_changes(declared, use))
-            if self._clearly(law, now, best, SURE) and self._closes(law, best, use):
+            if self._clearly(law, now, best, limits.AUDIT_SURE.value) and self._closes(law, best, use):
                 now = best
         if self.currents:
             return min(declared, now, key=lambda one: law.score(one).total)
@@ -509,8 +478,8 @@ class _Auditor:
             better = [
                 one
                 for one, i in tried
-                if abs(math.log(abs(one.factor[i] / now.factor[i]))) > math.log(SCALE_OFF)
-                and self._clearly(law, now, one, SURE_SCALE)
+                if abs(math.log(abs(one.factor[i] / now.factor[i]))) > math.log(limits.SCALE_OFF.value)
+                and self._clearly(law, now, one, limits.SURE_SCALE.value)
             ]
             if not better:
                 break
@@ -560,7 +529,7 @@ class _Auditor:
         now = law.score(kept)
         for i in use:
             name, left = self.name("tau", i), float(now.share[i])
-            if not left <= FITS:
+            if not left <= limits.MOTOR_FITS.value:
                 self.undecided.add(name)
                 self.notes.append(
                     f"{name}: sign and place are not decided (the law of the whole arm leaves {100 * left:.0f} % of "
@@ -569,7 +538,10 @@ class _Auditor:
         for other in law.torque_changes(kept, use):
             better = now.total - law.score(other).total
             changes = kept.differs(other)
-            if -better < len(changes) * math.log(SURE) and not {self.name("tau", i) for i in changes} <= self.undecided:
+            if (
+                -better < len(changes) * math.log(limits.AUDIT_SURE.value)
+                and not {self.name("tau", i) for i in changes} <= self.undecided
+            ):
                 self.undecided |= {self.name("tau", i) for i in changes}
                 what = "inverted" if other.source == kept.source else "swapped"
                 self.notes.append(
@@ -593,16 +565,19 @@ class _Auditor:
         if change.kind != "tau" and all(motors.stiff[i] for i in change.joints):
             return True  # the two rates are sufficient evidence
         left = max(motors.left(i, change) for i in change.joints)
-        if left > FITS:
+        if left > limits.MOTOR_FITS.value:
             return False
-        if left <= FITS_WELL or change.kind != "tau" or broken:
+        if left <= limits.MOTOR_FITS_WELL.value or change.kind != "tau" or broken:
             return True
         try:
             balance = Balance(self.arm, cycles)
         except ZygosError:
             return True
         # if both residuals are infinite, the comparison is False, and the law alone decides
-        return not balance.residual(self.arm, changed(balance.cycles, change, self.zeros)) > SURE * balance.residual_j
+        return (
+            not balance.residual(self.arm, changed(balance.cycles, change, self.zeros))
+            > limits.AUDIT_SURE.value * balance.residual_j
+        )
 
     def _doubt(self, motors: Motors, change: Change) -> None:
         """Note that a change of flexible joints would explain the run better, but is not proven."""
@@ -670,7 +645,7 @@ class _Auditor:
         wanted = {
             i: p.skew_s
             for i, p in found.items()
-            if abs(p.skew_s) > max(SKEW_SIGMAS * p.skew_sigma_s, SKEW_SHARE * self.arm.period_s)
+            if abs(p.skew_s) > max(limits.SKEW_Z.value * p.skew_sigma_s, limits.SKEW.value * self.arm.period_s)
         }
         for i, one in found.items():
             joint = self.arm.joints[i]
@@ -686,7 +661,7 @@ class _Auditor:
                     self._name_skew(joint, one)
             first, second = joint.link_encoder, joint.motor_encoder
             allowed = 3.0 * math.hypot(first.zero_sigma_rad, second.zero_sigma_rad)
-            allowed += first.quantum_rad + second.quantum_rad + ZERO_SIGMAS * one.zero_sigma_rad
+            allowed += first.quantum_rad + second.quantum_rad + limits.ZERO_Z.value * one.zero_sigma_rad
             if abs(one.zero_rad) > allowed:
                 self.find(
                     self.name("q", i),
@@ -747,12 +722,12 @@ class _Auditor:
             key=lambda trial: trial[:2],
         )
         best, _, change = trials[0]
-        if now / best >= SURE:
+        if now / best >= limits.AUDIT_SURE.value:
             # with all torques inverted the balance is the same, so it cannot decide which one of two is wrong
-            rival = next((c for value, _, c in trials[1:] if value / best < SURE_LAW), None)
+            rival = next((c for value, _, c in trials[1:] if value / best < limits.SURE_LAW.value), None)
             self._name(change, now / best, rival, whole=True)
             return Balance(self.arm, changed(balance.cycles, change, self.zeros))
-        if best / now < SURE:
+        if best / now < limits.AUDIT_SURE.value:
             self.undecided |= names
             self.notes.append(
                 f"{problem}; signs and places of these torques are not decided ({self._called(change)}, the energy "
@@ -790,11 +765,11 @@ class _Auditor:
         now = balance.residual_j
         trials = list(balance.trials(self.zeros))
         residual, best = min(trials, key=lambda trial: trial[0])
-        if now / residual >= SURE:
+        if now / residual >= limits.AUDIT_SURE.value:
             self._name_whole(best, f"the energy balance closes {now / residual:.3g} times better")
             return Balance(self.arm, best.cycles)
         against = min(value for value, fault in trials if fault.what == "gyro")
-        if against / now < SURE:
+        if against / now < limits.AUDIT_SURE.value:
             self.undecided |= {name for name, kind, i in self.names if kind == "omega" and self._used_axis(i)}
             self.notes.append(
                 f"gyro: signs and axes are not decided (after a change, the energy balance closes "
@@ -837,14 +812,14 @@ class _Auditor:
         declared, best, next_best = (self.laws[law] for law in (self.arm.torque_law, first, second))
         if skewed:
             self.notes.append("torque_law: can be decided only after the skew of the encoders is corrected")
-        elif declared / best >= SURE_LAW:
+        elif declared / best >= limits.SURE_LAW.value:
             self.find(
                 "torques",
                 f"not {self.arm.torque_law}",
                 f"the energy balance closes {declared / best:.3g} times better",
                 f'torque_law = "{first}", unless the drives have a delay of that size',
             )
-        elif first != self.arm.torque_law or next_best / best < LIKELY_LAW:
+        elif first != self.arm.torque_law or next_best / best < limits.LIKELY_LAW.value:
             self.notes.append(
                 f"torque_law: not decided ({second} closes the energy balance {best / next_best:.2f} times as well as "
                 f"{first})"
@@ -856,7 +831,7 @@ class _Auditor:
         if self.findings:
             return
         found = flattened(self.arm, self.cycles, balance.friction)
-        if found is None or found.sigmas < FLATTENED_SIGMAS:
+        if found is None or found.sigmas < limits.FLATTENED_Z.value:
             return
         other = found.smoother
         self.find(

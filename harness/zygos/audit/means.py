@@ -9,14 +9,13 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm, Encoder
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import segments
 
 Array = NDArray[np.float64]
 
-FLAT_QUANTA = 20.0
-"""A joint that moves by less than that many quanta counts as not moving."""
 BLOCKS = 8
 """Number of blocks of the jackknife, since the errors of neighbouring rows are correlated."""
 
@@ -100,8 +99,8 @@ class Means:
         """Whether an encoder of the joint shows that it moves."""
         pair = self.arm.joints[joint]
         return bool(
-            np.ptp(self.q[joint][0]) > FLAT_QUANTA * pair.link_encoder.quantum_rad
-            or np.ptp(self.theta[joint][0]) > FLAT_QUANTA * pair.motor_encoder.quantum_rad
+            np.ptp(self.q[joint][0]) > limits.FLAT_QUANTA.value * pair.link_encoder.quantum_rad
+            or np.ptp(self.theta[joint][0]) > limits.FLAT_QUANTA.value * pair.motor_encoder.quantum_rad
         )
 
 

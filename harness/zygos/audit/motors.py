@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment, nnls
 
+from zygos import limits
 from zygos.audit.means import Array, Means, smooth_direction
 from zygos.runs.cycles import Cycles
-
-STIFF = 0.99
-"""Correlation of the two encoders' rates from which the deflection counts as a small difference."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,9 @@ class Motors:
             max(abs(self._correlation(means.q[j][1], means.theta[i][1])) for j in self.use) if i in self.use else 0.0
             for i in range(self.arm.n)
         ]
-        self.stiff = [joint.flexible and rate >= STIFF for joint, rate in zip(self.arm.joints, rates, strict=True)]
+        self.stiff = [
+            joint.flexible and rate >= limits.STIFF.value for joint, rate in zip(self.arm.joints, rates, strict=True)
+        ]
         self._known: dict[Any, tuple[float, ...]] = {}
 
     @staticmethod

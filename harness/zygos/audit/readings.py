@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from zygos import limits
 from zygos.audit.means import Array
 
 
@@ -37,7 +38,7 @@ def grid_step(readings: Array, ranges: Sequence[tuple[int, int]], finest: float)
         step = float(near @ times / (times @ times))
     off = np.abs(steps - step * np.rint(steps / step))
     on_grid = float(np.mean(off <= 1.01 * finest + 1e-6 * step))
-    return step if on_grid > 0.99 else math.nan
+    return step if on_grid > limits.ON_GRID.value else math.nan
 
 
 def noise_level(readings: Array, ranges: Sequence[tuple[int, int]]) -> float:
@@ -50,8 +51,6 @@ def noise_level(readings: Array, ranges: Sequence[tuple[int, int]]) -> float:
 
 _LAGS = 4
 """Number of past cycles whose readings may influence a controller's torque."""
-_ROUNDS, _OUTLIER = 3, 5.0
-"""Outliers beyond that many deviations are excluded from fits, because a jump of the command is not noise."""
 
 
 def noise_beside(readings: Array, others: Array, ranges: Sequence[tuple[int, int]]) -> float:
@@ -78,9 +77,9 @@ def noise_beside(readings: Array, others: Array, ranges: Sequence[tuple[int, int
     scale = np.sqrt(np.mean(x**2, axis=0))
     x = x[:, scale > 0.0] / scale[scale > 0.0]
     left, kept = y, np.ones(len(y), dtype=np.bool_)
-    for _ in range(_ROUNDS):
+    for _ in range(limits.OUTLIER_ROUNDS.value):
         left = y - x @ np.linalg.lstsq(x[kept], y[kept], rcond=None)[0]
-        kept = np.abs(left) <= _OUTLIER * 1.4826 * float(np.median(np.abs(left)))
+        kept = np.abs(left) <= limits.OUTLIER_Z.value * 1.4826 * float(np.median(np.abs(left)))
         if np.count_nonzero(kept) < 5 * x.shape[1]:
             break
     level = min(float(np.median(np.abs(left))), float(np.median(np.abs(y))))

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from zygos import limits
 from zygos.arm import load_arm
 from zygos.can.run import Run, check_distinct, find_arm, read_run
 from zygos.cli.options import ArmFile, Json
@@ -20,7 +21,7 @@ from zygos.files.output import check_outputs, named, number, quiet, say, table, 
 from zygos.files.progress import progress
 from zygos.gap.answer import as_json, planned_json, predictions
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import INTERVAL, Value, undecided
+from zygos.gap.findings import Value, undecided
 from zygos.gap.ground.answer import as_json as ground_json
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
@@ -322,7 +323,7 @@ def show_values(values: Sequence[Value]) -> None:
                     v.unit,
                     number(v.delivered),
                     number(v.found),
-                    number(INTERVAL * v.sigma, 2),
+                    number(limits.INTERVAL_Z.value * v.sigma, 2),
                     f"{100 * v.change:+.2f}" if np.isfinite(v.change) else "–",
                 )
                 for v in changed
@@ -349,7 +350,7 @@ def show_ground(found: GroundExplanation) -> None:
         table(
             ("found", "joint", "value", "± 95 %", "unit", "after the gear", "not told from"),
             [
-                (f.title, f.joint or "", number(f.value, 4), number(INTERVAL * f.sigma, 2), f.unit,
+                (f.title, f.joint or "", number(f.value, 4), number(limits.INTERVAL_Z.value * f.sigma, 2), f.unit,
                  after_gear(found.arm, f) or "the same", ", ".join(f.instead))
                 for f in found.findings
             ],

@@ -6,17 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.dynamics.equations import from_model
 from zygos.effects import Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.model.model import Model
 from zygos.report.figures import figure
-
-NOT_WORSE = 1.1
-"""Error of a model's predictions over that of the best baseline, up to which it is no worse."""
-LEAST = 1e-300
-"""Inertia and stiffness are more than 0, because equations of motion are divided by them."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,7 @@ def possible(arm: Arm, model: Model) -> tuple[Check, ...]:
     """
     values = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
     checks = [
-        Check(name, values[name], unit, lowest=0.0 if one.symbol == "b" else LEAST)
+        Check(name, values[name], unit, lowest=0.0 if one.symbol == "b" else limits.LEAST_INERTIA.value)
         for name, unit, one in zip(arm.parameter_names, arm.parameter_units, arm.parameters, strict=True)
         if one.joint is not None and one.symbol in ("Im", "k", "b")
     ]
@@ -134,6 +130,12 @@ def no_worse(name: str, unit: str, found: float, baselines: Iterable[tuple[str, 
     """Compare an error of predictions with the smallest one of the baselines, which have names. closed: up to which it
     closes, whatever the baselines do."""
     which, least = min(baselines, key=lambda one: one[1] if math.isfinite(one[1]) else math.inf)
-    if closed > NOT_WORSE * least:
+    if closed > limits.NOT_WORSE.value * least:
         return Check(name, found, unit, highest=closed, beside="up to which only noise is left")
-    return Check(name, found, unit, highest=NOT_WORSE * least, beside=f"{NOT_WORSE:g} times that of the model {which}")
+    return Check(
+        name,
+        found,
+        unit,
+        highest=limits.NOT_WORSE.value * least,
+        beside=f"{limits.NOT_WORSE.value:g} times that of the model {which}",
+    )

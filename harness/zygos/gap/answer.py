@@ -11,7 +11,7 @@ from zygos.gap.findings import Finding, Gap, Value
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
 from zygos.gap.simulated import Simulated
-from zygos.gap.verdicts import Changed, NotAdmissible, PartNamed, PlainEstimate, Verdict, ZerosOff
+from zygos.gap.verdicts import Changed, NotAdmissible, PartNamed, PlainEstimate, Verdict, ZerosOff, decided_by
 from zygos.plan.separating import Separating
 from zygos.report.provenance import Provenance
 
@@ -119,6 +119,11 @@ def checks_json(adopted: Adopted | None, verdict: Verdict) -> list[dict[str, Any
     ]
 
 
+def limits_json(verdict: Verdict) -> list[dict[str, Any]]:
+    """The limits that decided the answer (docs/reference/limits.md)."""
+    return [{"name": one.name, "value": one.value, "unit": one.unit} for one in decided_by(verdict)]
+
+
 def change_json(verdict: Verdict) -> dict[str, Any] | None:
     """What changed and when; None where the answer is another."""
     if not isinstance(verdict, Changed):
@@ -159,6 +164,7 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
         "left": remainders_json(found.verdict),
         "change": change_json(found.verdict),
         "checks": checks_json(found.adopted, found.verdict),
+        "decided_by": limits_json(found.verdict),
         "gap": gap
         and {
             "unit": "sigma",

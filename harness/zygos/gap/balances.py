@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from zygos import limits
 from zygos.arm import JOINT_ROW_S, Arm
 from zygos.balances import energy, impulse, joint, momentum
 from zygos.balances.effects import BaseSignals, Signals, energy_column, impulse_column, joint_column, momentum_column
@@ -43,24 +44,11 @@ from zygos.model import gram
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_SHIFT = 1e-6
-"""Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
-_INVERTED = 4
-"""Steps by which an error of a sensor is taken off readings; each leaves so large a share of what the one before left
-as the error changes by where the reading changes."""
 _SEEN = ("q", "theta", "omega0")
 """Fields of `Readings` that an entry of the catalogue at a sensor changes."""
 NONE: Mapping[str, float] = MappingProxyType({})
 _ACTING = ("motor", "link", "spring", "torque", "load")
 """Places of effects that act at a joint."""
-_OFFSET = 1e2
-"""Deviation of the constant error of a torque sensor that has noise, Nm: nobody declares it."""
-_MANY = 6
-"""Shapes of a law from which on a search begins with a part of them."""
-_LOOSE = 0.1
-"""Deviation of an error of a sensor of which nothing is known, rad or rad/s."""
-GAIN = 0.02
-"""Deviation of the gain of such a sensor against that of the first one."""
 
 
 Lost = dict[str, list[Array]]
@@ -117,9 +105,9 @@ def _coarse(kind: Kind) -> tuple[float | None, ...]:
     if not kind.shapes:
         return (None,)
     whole = all(x % 1.0 == 0.0 for x in kind.shapes)
-    if whole or len(kind.shapes) < _MANY:
+    if whole or len(kind.shapes) < limits.MANY_SHAPES.value:
         return kind.shapes
-    return kind.shapes[1 :: 2 if len(kind.shapes) < 2 * _MANY else 3]
+    return kind.shapes[1 :: 2 if len(kind.shapes) < 2 * limits.MANY_SHAPES.value else 3]
 
 
 def acting(effect: Effect, arm: Arm) -> Acting:
@@ -226,7 +214,7 @@ class Layout:
     @cached_property
     def zero_sigma(self) -> Array:
         """(zeros,) how well the arm file knows them, in the order of `zeros`."""
-        return np.array([_LOOSE if name in self.loose else one.sigma for name, one in self.errors.items()])
+        return np.array([limits.LOOSE.value if name in self.loose else one.sigma for name, one in self.errors.items()])
 
     @cached_property
     def of_torque(self) -> NDArray[np.bool_]:
@@ -261,10 +249,10 @@ class Layout:
                 out["gyro_bias"] = SensorError(sigma, ("omega0",), np.array(1.0))
         for i, one in enumerate(arm.joints):
             if one.torque_sigma > 0.0:
-                out[f"torque_zero{i + 1}"] = SensorError(_OFFSET, ("tau",), unit[i])
+                out[f"torque_zero{i + 1}"] = SensorError(limits.OFFSET_NM.value, ("tau",), unit[i])
                 if i > 0 and i not in gained:
                     # all gains, masses and frictions can grow together: one gain is taken as known
-                    out[f"torque_scale{i + 1}"] = SensorError(GAIN, ("tau",), unit[i], gain=True)
+                    out[f"torque_scale{i + 1}"] = SensorError(limits.GAIN.value, ("tau",), unit[i], gain=True)
         return out
 
     @cached_property
@@ -316,7 +304,7 @@ def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun
 def thinning(arm: Arm) -> int:
     """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their
     noise."""
-    return max(1, arm.smoother.points // 8)
+    return max(1, arm.smoother.points // limits.ROWS_OF_A_WINDOW.value)
 
 
 def _acts(arm: Arm, kind: Kind, i: int, balance: str) -> bool:
@@ -415,21 +403,21 @@ def zero_columns(
         without[:] = without or left_over(still)
         # what errors of this size do in the second order is 1e-5 of it at the most
         with_it = left_over(_Moving.of(layout.arm, wrong, every))
-        return [(a - b) / _SHIFT for a, b in zip(without, with_it, strict=True)]
+        return [(a - b) / limits.SHIFT.value for a, b in zip(without, with_it, strict=True)]
 
     def taken(error: SensorError) -> list[Array]:
         if error.signals == ("tau",):
             # the right sides are linear in the torques, and nothing else depends on them
             wrong = _Moving.of(layout.arm, error.added(readings, 1.0), every, still.state)
             return [b - a for a, b in zip(_right(layout, still), _right(layout, wrong), strict=True)]
-        return lost(error.added(readings, _SHIFT))
+        return lost(error.added(readings, limits.SHIFT.value))
 
     def misread(one: Acting) -> list[Array]:
         number, size = one.kind.components(layout.arm).index(one.component), sizes.get(one.name, 0.0)
-        if abs(size) <= _SHIFT:
-            return lost(one.kind.transform(layout.arm, readings, one.joint, _SHIFT, number))
+        if abs(size) <= limits.SHIFT.value:
+            return lost(one.kind.transform(layout.arm, readings, one.joint, limits.SHIFT.value, number))
         plain = readings
-        for _ in range(_INVERTED):
+        for _ in range(limits.INVERTED.value):
             again = one.kind.transform(layout.arm, plain, one.joint, size, number)
             parts = {name: getattr(plain, name) + getattr(readings, name) - getattr(again, name) for name in _SEEN}
             plain = replace(plain, **parts)

@@ -14,29 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.errors import Undecided
 from zygos.gap.balances import balance_rows, kept_rows, thinning
 from zygos.gap.fit import Hypothesis, without_zeros
-from zygos.gap.search import EXCESS
-from zygos.gap.study import FEW, Study, again, base_values, part_of
+from zygos.gap.study import Study, again, base_values, part_of
 
 Array = NDArray[np.float64]
 
 BODIES = "bodies"
 """Name of a change of all inertial parameters, as a payload makes it."""
-CERTAIN = 6.0
-"""Standard deviations that a change must reach."""
-_STEP = 0.5
-"""Share of what an effect with a beginning takes away that the same effect without one must leave."""
-_FAR = 2.0
-"""Multiple of what a balance may leave over from which on more draws of its twin say nothing else."""
-_ROUNDS = 5
-_FALLS = 0.7
-"""Share of what is left over that a further twin has to leave at the most to be followed by another."""
-_TAKES = 0.6
-"""Share of what is left over beyond noise that a change must take away."""
-_TORN = 0.5
-"""Share of what the best change between two arcs leaves over from which on an arc is taken as torn apart by one."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +99,8 @@ def _closed(study: Study, hypothesis: Hypothesis, parts: Sequence[list[slice]], 
     twin does; None where each does. Errors: Undecided where the first does not tell the coefficients apart."""
     for number, arcs in enumerate(parts):
         try:
-            few = _approached(part_of(study, arcs, hypothesis), hypothesis, _FAR * allowed)
-            if np.nanmax(few.excess) > _FAR * allowed:
+            few = _approached(part_of(study, arcs, hypothesis), hypothesis, limits.REDRAWN_FAR.value * allowed)
+            if np.nanmax(few.excess) > limits.REDRAWN_FAR.value * allowed:
                 continue
             found = again(few, hypothesis)
         except Undecided:
@@ -131,13 +118,13 @@ def _approached(study: Study, hypothesis: Hypothesis, enough: float) -> Study:
     The twins that are there are of an arm that is neither the one before nor the one after, and so are the values from
     which errors of sensors are judged.
     """
-    now = again(study, hypothesis, FEW)
-    for _ in range(_ROUNDS):
+    now = again(study, hypothesis, limits.FEW_DRAWS.value)
+    for _ in range(limits.CHANGE_ROUNDS.value):
         most = float(np.nanmax(now.excess))
         if most <= enough:
             break
-        then = again(now, hypothesis, FEW)
-        if np.nanmax(then.excess) > _FALLS * most:
+        then = again(now, hypothesis, limits.FEW_DRAWS.value)
+        if np.nanmax(then.excess) > limits.CHANGE_FALLS.value * most:
             break
         now = then
     return now
@@ -191,7 +178,7 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
     if whole is not None and whole.closes:
         return whole.change
     torn = sought.best(torn=True)
-    if torn is None or (whole is not None and torn.score >= _TORN * whole.score):
+    if torn is None or (whole is not None and torn.score >= limits.TORN.value * whole.score):
         return None if whole is None else whole.change
     return torn.change
 
@@ -233,7 +220,7 @@ class _Sought:
         rest = _beside(sums, own)
         left = float(rest[-1, -1])
         excess = left - floor
-        if torn and excess <= EXCESS * floor:
+        if torn and excess <= limits.EXCESS.value * floor:
             # an arc that disagrees with all others, which do not with each other, is no change
             return
         for what, columns in self.groups:
@@ -243,10 +230,14 @@ class _Sought:
             square = float(delta @ np.linalg.pinv(inverse, hermitian=True) @ delta)
             z = float(np.sqrt(max(square, 0.0) / len(columns)))
             share = (left - over) / excess if excess > 0.0 else 1.0
-            if z < CERTAIN or (excess > EXCESS * floor and share < _TAKES):
+            if z < limits.CHANGE_Z.value or (
+                excess > limits.EXCESS.value * floor and share < limits.CHANGE_TAKES.value
+            ):
                 continue
             # what an effect explains that was there all the time is no change
-            if columns[0] >= own and _solved(rest, [columns[0] - own])[1] - over < _STEP * (left - over):
+            if columns[0] >= own and _solved(rest, [columns[0] - own])[1] - over < limits.STEP_LEAVES.value * (
+                left - over
+            ):
                 continue
             found = _solved(sums, [*range(own), *(count + k for k in columns)])[0]
             old = np.array([found[k] if k < own else 0.0 for k in columns])
@@ -266,7 +257,9 @@ class _Sought:
             )
             # each column takes away a little by chance, and what is left out is left over as well
             chance = 2.0 * len(columns) * self.widened**2 * np.log(max(floor / self.widened**2, np.e))
-            yield _Scored(change, float(over + chance + torn * first.expected), bool(over - floor <= EXCESS * floor))
+            yield _Scored(
+                change, float(over + chance + torn * first.expected), bool(over - floor <= limits.EXCESS.value * floor)
+            )
 
 
 def _inertial(study: Study) -> set[str]:
@@ -346,7 +339,7 @@ def _block(gram: Array, free: Sequence[int]) -> Array:
 def _inverse(matrix: Array) -> Array:
     """Of sums of columns of any size, whose combinations may be empty."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = np.linalg.pinv(matrix * scale * scale[:, None], rcond=1e-13, hermitian=True)
+    scaled = np.linalg.pinv(matrix * scale * scale[:, None], rcond=limits.RCOND.value, hermitian=True)
     return np.asarray(scaled * scale * scale[:, None], dtype=np.float64)
 
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
-from zygos.gap.forecast import HORIZON_S
 from zygos.gap.residuals import (
     as_delivered,
     base_angle,
@@ -317,7 +317,7 @@ class Charts:
         time = gap.segments.time_s[:, half]
         chosen = poor_segment(gap)
         start = float(time[chosen])
-        self.overlay = f"{start:.1f} … {start + HORIZON_S:.1f} s"
+        self.overlay = f"{start:.1f} … {start + limits.HORIZON_S.value:.1f} s"
         self.times["segments"] = numbers(time)
         self.times["ahead"] = numbers(gap.segments.time_s[chosen, half:] - start)
         models = [("refit", "refit", gap.refit)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import accumulate, balance_rows
 from zygos.gap.fit import fit
@@ -15,12 +16,6 @@ from zygos.gap.study import Study, base_values
 from zygos.gap.twin import measure, retrace
 
 Array = NDArray[np.float64]
-
-THRESHOLD = 4.5
-"""Standard deviations by which one effect must stand out beside another."""
-_DRAWS = 6
-_VARIANTS = ((0.5, 1.0), (2.0, 1.0), (1.0, 0.5), (1.0, 1.5), (0.5, 1.5), (2.0, 0.5))
-"""Speed and amplitude of the first run's motion."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +33,7 @@ class Experiment:
     @property
     def tells(self) -> bool:
         """Whether it would tell the two apart."""
-        return self.z > THRESHOLD
+        return self.z > limits.NAMED_Z.value
 
 
 def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
@@ -51,7 +46,7 @@ def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
 
     def stands_out(speed: float, amplitude: float) -> float:
         twin = retrace(dynamics, record, speed, amplitude)
-        seen = [measure(twin, k) for k in range(_DRAWS)]
+        seen = [measure(twin, k) for k in range(limits.MOTION_DRAWS.value)]
         sums = [accumulate(balance_rows(study.layout, one, values), followed(arm, one), uncentred) for one in seen]
         found = np.array([float(fit(both, [one], study.weight).of(name)) for one in sums])
         return size / float(found.std(ddof=1))
@@ -61,7 +56,7 @@ def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
         now = stands_out(1.0, 1.0)
     except Undecided:
         return ()
-    for speed, amplitude in _VARIANTS:
+    for speed, amplitude in limits.VARIANTS.value:
         try:
             out.append(Experiment(speed, amplitude, stands_out(speed, amplitude), now))
         except (Undecided, ZygosError):

@@ -12,38 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.dynamics.equations import from_model, from_parameters, parameters
 from zygos.dynamics.joints import Drives
 from zygos.effects import CATALOGUE, OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.adopted import Adopted, Check, NotAdopted, no_worse
-from zygos.gap.balances import GAIN, Acting, Layout, acting, corrected
+from zygos.gap.balances import Acting, Layout, acting, corrected
 from zygos.gap.changes import BODIES, Change, find_change, settled
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import (
-    DIFFERS,
-    DISAGREE,
-    FLEXIBILITY,
-    INTERVAL,
-    MATERIAL,
-    Deflection,
-    Disagreement,
-    Finding,
-    Gap,
-    Significance,
-    Value,
-)
+from zygos.gap.findings import FLEXIBILITY, Deflection, Disagreement, Finding, Gap, Significance, Value
 from zygos.gap.fit import Hypothesis, fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.form import form_sigma
-from zygos.gap.payload import SYSTEMATIC, PayloadValue, payload_of
+from zygos.gap.payload import PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
-from zygos.gap.remainder import CLOSED, allowed_by, closes, closes_by_noise, far_off, remainders, unclosed
+from zygos.gap.remainder import allowed_by, closes, closes_by_noise, far_off, remainders, unclosed
 from zygos.gap.search import (
-    COMPLETE,
-    PARTLY,
     Candidate,
     Search,
     allowed,
@@ -109,32 +96,6 @@ from zygos.model.model import Model, Quantity
 from zygos.quantiles import student_factor
 
 Array = NDArray[np.float64]
-
-_USED = 0.9
-"""Share of a run below which its losses are worth a word."""
-SMALL = 1.5
-"""Residual of a balance over its twin's up to which effects are named without an untouched run."""
-_WRONG_GAIN = 0.05
-"""Share by which the gain of a torque sensor differs from that of the first joint from which on it is an effect."""
-_NOISY = 5.0
-"""Ratio of a residual to its twin's that unseen noise of the torques does not reach."""
-_REDRAWN, _THINNED = 6, 3
-"""Models with redrawn values that predict the floor's twin, every so many of its stretches."""
-_TENTH = 0.1
-"""Share of the largest value in the same unit below which a value counts as that: hardly anything moves otherwise."""
-_HALF = 0.5
-"""Share of the error of predictions that a change may leave."""
-_CLEARLY = 1.5
-"""Ratio of errors of predictions that chance does not make."""
-_MOSTLY, _LESS = 0.8, 0.6
-"""Share that what was named explains, from which on nothing else is asked for; and the share of what it leaves over
-that another candidate may leave, to cast doubt on it."""
-_DEFLECTED = 3.0
-"""Deviations of the encoders beyond which a joint that is said to be rigid is not."""
-_TRIFLE = 0.01
-"""Difference of two searches' completeness that says nothing."""
-_SKEWED = 0.95
-"""Share of a deflection that goes with the joint's rate: then it is a matter of the encoders' timing."""
 
 
 def explain(
@@ -206,8 +167,8 @@ class _Explainer:
         arm, layout, hypothesis = self.arm, Layout(self.arm), refit.hypothesis
         delivered = from_model(arm, self.simulation)
         deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
-        flexible = [d for d in deflections if d.rms_rad > _DEFLECTED * d.noise_rad]
-        skewed = [d for d in flexible if d.skew_share > _SKEWED]
+        flexible = [d for d in deflections if d.rms_rad > limits.DEFLECTED_Z.value * d.noise_rad]
+        skewed = [d for d in flexible if d.skew_share > limits.SKEWED.value]
         parted: tuple[Finding, ...] = ()
         found: Search | None = None
         basis = refit
@@ -239,7 +200,7 @@ class _Explainer:
         answer = self._with_fewer_names(first, lambda less: told(less, self._gap(delivered, refit, less.after, less)))
         found, gap, _, values, verdict = answer
         after = basis if found is None else found.after
-        if gap is not None and gap.closed.median > 1.1 * gap.delivered.median:
+        if gap is not None and gap.closed.median > limits.NOT_WORSE.value * gap.delivered.median:
             self.remarks.append(DrawingPredictsBetter())
         self.step(0.9, "verdict")
         local = refit.local()
@@ -336,7 +297,7 @@ class _Explainer:
                 likely, refit = declared, plain
             self._take(likely)
         self.known = likely
-        if likely == most or not excess(refit) or np.nanmax(refit.excess) > _NOISY:
+        if likely == most or not excess(refit) or np.nanmax(refit.excess) > limits.NOISY.value:
             return refit
         # noise that the runs do not rule out comes before anything that is missing
         self._take(most)
@@ -363,7 +324,7 @@ class _Explainer:
         # an offset, which noisy torque sensors have in any case, is nothing that is missing
         columns = [instead.after.layout.find(one.name) for one in instead.named]
         more = [one for one in columns if not (one.kind.key == "torque_offset" and found.after.layout.covers(one))]
-        if changed is None and more and min(instead.completeness) >= COMPLETE:
+        if changed is None and more and min(instead.completeness) >= limits.COMPLETE.value:
             return refit, instead, gap
         self._take(taken)
         self.remarks, self.gains = remarks, gains
@@ -428,7 +389,7 @@ class _Explainer:
         used: dict[str, float] = {}
         for record in (*self.measured, *self.validate):
             used[record.path.name] = used.get(record.path.name, 0.0) + record.share
-        self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
+        self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < limits.USED.value]
 
     def _searched(self, delivered: Drives, refit: Study, basis: Study) -> tuple[Search, Gap | None, Changed | None]:
         """Usual entries, then every entry, then changes with time, as long as something is left over."""
@@ -456,7 +417,7 @@ class _Explainer:
             for study in (basis, *(() if every is None else (every,))):
                 changed, later, earlier = self._changed(found, study, basis.layout)
                 if changed is not None:
-                    told = self._gap(delivered, refit, later.after, later, SYSTEMATIC)
+                    told = self._gap(delivered, refit, later.after, later, limits.SYSTEMATIC.value)
                     if _closes_before(earlier) if told is None else _predicts(told) or _closes_with(earlier, told):
                         return later, told, changed
         gap = self._gap(delivered, refit, found.after, found)
@@ -488,7 +449,9 @@ class _Explainer:
         if not others:
             return found
         again = polished(search(with_rivals(basis, others), lambda what: self.step(0.6, what)))
-        return again if min(again.completeness) > min(found.completeness) - _TRIFLE and again.named else found
+        return (
+            again if min(again.completeness) > min(found.completeness) - limits.TRIFLE.value and again.named else found
+        )
 
     def _gained(self, basis: Study, after: Study) -> Study:
         """The basis with the gains of torque sensors that are far off after all that was named as effects, the same in
@@ -505,10 +468,10 @@ class _Explainer:
             joint = int(name.removeprefix("torque_scale")) - 1
             each, sigma = after.zeros[:, k], drawn[:, k]
             share = float(np.mean(each))
-            if np.any(np.abs(each) < DISAGREE * sigma) or abs(share) < GAIN:
+            if np.any(np.abs(each) < limits.DISAGREE_Z.value * sigma) or abs(share) < limits.GAIN.value:
                 continue
             gain = Acting(CATALOGUE["torque_gain"], joint)
-            if abs(share) > _WRONG_GAIN and "torque_gain" not in self.without:
+            if abs(share) > limits.GAIN_OFF.value and "torque_gain" not in self.without:
                 found[gain.name] = gain
             self._remark(GainOff(self.arm.joints[joint].name, self.arm.joints[0].name, share))
         if not found:
@@ -597,7 +560,9 @@ class _Explainer:
         index = study.hypothesis.names.index(name)
         sigma = max(float(self._sigmas(study)[index]), self._with_its_shape(study, name))
         freedom = len(study.twin_sums[0].gram[0]) - 1
-        return float(study.value[index]), sigma * float(student_factor(0.95, freedom)) / INTERVAL
+        return float(study.value[index]), sigma * float(
+            student_factor(limits.CONFIDENCE.value, freedom)
+        ) / limits.INTERVAL_Z.value
 
     def _with_its_shape(self, study: Study, name: str) -> float:
         """Standard deviation of a coefficient whose law has a shape that is not known either: that of the sum of the
@@ -654,7 +619,7 @@ class _Explainer:
         layout = study.layout
         zeros = study.zeros.mean(axis=0)
         torque = layout.of_torque
-        off = np.where((np.abs(zeros) > _DEFLECTED * layout.declared_sigma) | torque, zeros, 0.0)
+        off = np.where((np.abs(zeros) > limits.DEFLECTED_Z.value * layout.declared_sigma) | torque, zeros, 0.0)
         if not off.any():
             return list(records)
         told = np.where(torque, 0.0, off)
@@ -713,7 +678,12 @@ class _Explainer:
             wrong,
             wrong_name,
             tuple(
-                forecast(one, _misread(twin.thinned(_THINNED), after.layout, wrong), errors, floor.thinned(_THINNED))
+                forecast(
+                    one,
+                    _misread(twin.thinned(limits.THINNED.value), after.layout, wrong),
+                    errors,
+                    floor.thinned(limits.THINNED.value),
+                )
                 for one, wrong in _redrawn(after, systematic)
             ),
             tuple(one.path.name for one in self.validate),
@@ -739,7 +709,8 @@ class _Explainer:
         lags = [finding.value / h for finding in findings if finding.kind == "torque_lag"]
         # the arm file has one torque law for all joints: what is late at some of them is a drive
         if len(lags) == self.arm.n and (
-            min(lags) > 0.95 or any(max(abs(lag / part - 1.0) for lag in lags) < 0.05 for part in (0.5, 1))
+            min(lags) > limits.SKEWED.value
+            or any(max(abs(lag / part - 1.0) for lag in lags) < limits.LATE_ALIKE.value for part in (0.5, 1))
         ):
             return LateTorques(float(np.mean(lags)))
         # a twin that moves by a law of nearly the same form may be harder to follow than the arm itself
@@ -756,7 +727,7 @@ class _Explainer:
         if not found.named and not excess(found.before):
             if not findings:
                 return self._same_equations(found.after, values, gap)
-        elif not found.named or share < PARTLY:
+        elif not found.named or share < limits.PARTLY.value:
             return Unexplained(
                 float(np.nanmax(found.after.excess)),
                 tuple(candidate.name for candidate in found.named),
@@ -772,10 +743,10 @@ class _Explainer:
     def _how_much(self, found: Search, findings: tuple[Finding, ...], gap: Gap | None) -> Verdict:
         """Whether effects are all that is missing, or a part of it, or only look like it."""
         most, apart_by = float(np.nanmax(found.after.excess)), unsteady(found)
-        closed = closes(gap) if gap is not None else most <= SMALL
+        closed = closes(gap) if gap is not None else most <= limits.CLOSED_BALANCE.value
         unsigned = tuple(finding for finding in findings if not finding.signed)
         known = not unsigned or gap is None or closes_by_noise(gap)
-        if min(found.completeness) >= COMPLETE and closed and known and not apart_by:
+        if min(found.completeness) >= limits.COMPLETE.value and closed and known and not apart_by:
             return Lacking(findings)
         apart = _explains_more_apart(found)
         if apart is not None:
@@ -788,13 +759,13 @@ class _Explainer:
 
     def _open(self, found: Search) -> bool:
         """Whether most of what is left over may be explained by other entries of the catalogue."""
-        return excess(found.after) and (not found.named or min(found.completeness) < COMPLETE)
+        return excess(found.after) and (not found.named or min(found.completeness) < limits.COMPLETE.value)
 
     def _unsettled(self, found: Search) -> bool:
         """Whether the runs disagree, or nothing of the catalogue explains most of what is missing."""
         if not found.named and not excess(found.before):
             return bool(self._apart(found.after))
-        return not found.named or min(found.completeness) < PARTLY
+        return not found.named or min(found.completeness) < limits.PARTLY.value
 
     def _changed(self, found: Search, study: Study, layout: Layout) -> tuple[Changed | None, Search, Study | None]:
         """A change with time of what a study has, which explains it, the search with the study of what was recorded
@@ -811,7 +782,7 @@ class _Explainer:
             study, records=self.measured, applied=applied, hypothesis=replace(study.hypothesis, layout=kept)
         )
         try:
-            apart = settled(plain, change, SMALL)
+            apart = settled(plain, change, limits.CLOSED_BALANCE.value)
         except (Undecided, ZygosError):
             return None, found, None
         if apart is None:
@@ -871,14 +842,14 @@ class _Explainer:
             largest = max(
                 abs(float(x)) for x, n in zip(study.value, hypothesis.names, strict=True) if units.get(n) == own
             )
-            least = MATERIAL * max(abs(float(study.value[k])), _TENTH * largest)
+            least = limits.MATERIAL_DIFFERENCE.value * max(abs(float(study.value[k])), limits.MOVES.value * largest)
             pairs = [
                 (abs(float(each[i, k] - each[j, k])) / float(np.sqrt(variance[i, k] + variance[j, k])), i, j)
                 for i, j in combinations(runs, 2)
                 if abs(each[i, k] - each[j, k]) > least
             ]
             z, i, j = max(pairs, default=(0.0, 0, 0))
-            if z > DISAGREE:
+            if z > limits.DISAGREE_Z.value:
                 out.append(Disagreement(name, float(each[i, k]), float(each[j, k])))
         return tuple(out)
 
@@ -925,13 +896,13 @@ class _Explainer:
                     known.append(("plain estimate", forecast(from_model(self.arm, self.plain), gap.segments)))
         checks = []
         for k, run in enumerate(gap.runs):
-            found, limits = gap.closed.of_run(k), allowed_by(gap, k)
+            found, floor = gap.closed.of_run(k), allowed_by(gap, k)
             each = [(name, one.of_run(k)) for name, one in known]
-            for said, size, limit, sizes in (
-                ("the median error of predictions", found.median, limits[0], [(n, x.median) for n, x in each]),
-                ("the 90th percentile of the errors", found.tenth, limits[1], [(n, x.tenth) for n, x in each]),
+            for said, size, noise, sizes in (
+                ("the median error of predictions", found.median, floor[0], [(n, x.median) for n, x in each]),
+                ("the 90th percentile of the errors", found.tenth, floor[1], [(n, x.tenth) for n, x in each]),
             ):
-                checks.append(no_worse(f"{said} of {run}", "sigma", size, sizes, CLOSED * limit))
+                checks.append(no_worse(f"{said} of {run}", "sigma", size, sizes, limits.CLOSED.value * noise))
         return tuple(checks)
 
     def _model(self, study: Study, values: tuple[Value, ...], findings: tuple[Finding, ...]) -> Model:
@@ -953,7 +924,9 @@ class _Explainer:
             elif effect.source == "zygos":
                 value, sigma = self._size(study, acting(effect, self.arm).name)
                 # an effect of the simulation that the runs do not show leaves the model
-                if value > DIFFERS * sigma or (value < -DIFFERS * sigma and not effect.kind.positive):
+                if value > limits.DIFFERS_Z.value * sigma or (
+                    value < -limits.DIFFERS_Z.value * sigma and not effect.kind.positive
+                ):
                     kept.append(replace(effect, value=value, sigma=sigma))
             else:
                 kept.append(effect)
@@ -962,7 +935,7 @@ class _Explainer:
 
 def _damping(value: Value) -> float:
     """The value; 0 for a damping that is negative by its noise."""
-    negative = value.unit == "Nms/rad" and -DIFFERS * value.sigma < value.found < 0.0
+    negative = value.unit == "Nms/rad" and -limits.DIFFERS_Z.value * value.sigma < value.found < 0.0
     return 0.0 if negative else value.found
 
 
@@ -983,19 +956,19 @@ def _worse(gap: Gap, struck: Forecast) -> bool:
     """Whether the untouched run speaks against what was named: it is predicted better without. Where values are not
     known well, a run that closes may be predicted a little better by chance."""
     closed, floor = gap.closed.median, gap.floor.median
-    clearly = closed > _CLEARLY * struck.median and closed > CLOSED * floor
+    clearly = closed > limits.CLEARLY.value * struck.median and closed > limits.CLOSED.value * floor
     return closed > struck.median and (clearly or not closes(gap))
 
 
 def _predicts(gap: Gap) -> bool:
     """Whether the model after a change predicts the untouched runs, and much better than without the change: values
     that are learned from a part of the runs are not known well, and then much is allowed for."""
-    return closes(gap) and gap.closed.median < _HALF * gap.refit.median
+    return closes(gap) and gap.closed.median < limits.CHANGE_LEAVES.value * gap.refit.median
 
 
 def _closes_before(study: Study | None) -> bool:
     """Whether nothing is left over before a change either, which has to do where no run was kept apart."""
-    return study is not None and float(np.nanmax(study.excess)) <= SMALL
+    return study is not None and float(np.nanmax(study.excess)) <= limits.CLOSED_BALANCE.value
 
 
 def _closes_with(study: Study | None, gap: Gap) -> bool:
@@ -1008,7 +981,7 @@ def _closes_with(study: Study | None, gap: Gap) -> bool:
 def _explains_more(wider: Search, found: Search) -> bool:
     """Whether a search among more entries leaves less over, by more than a trifle."""
     share, before = (min(one.completeness) if one.named else 0.0 for one in (wider, found))
-    return share > before + _TRIFLE or (share >= before and not excess(wider.after) and excess(found.after))
+    return share > before + limits.TRIFLE.value or (share >= before and not excess(wider.after) and excess(found.after))
 
 
 def _between_runs(study: Study, hypothesis: Hypothesis, part: Callable[[Array], Array]) -> Array:
@@ -1023,7 +996,11 @@ def _explains_more_apart(found: Search) -> Candidate | None:
     left = 1.0 - min(found.completeness)
     listed = [one for one in found.rounds[0] if one.against == "inconsistent"]
     best = max(listed, key=lambda one: one.complete, default=None)
-    return best if best is not None and left > 1.0 - _MOSTLY and 1.0 - best.complete < _LESS * left else None
+    return (
+        best
+        if best is not None and left > 1.0 - limits.MOSTLY.value and 1.0 - best.complete < limits.DOUBT.value * left
+        else None
+    )
 
 
 def _redrawn(study: Study, systematic: float) -> list[tuple[Drives, Array]]:
@@ -1033,9 +1010,11 @@ def _redrawn(study: Study, systematic: float) -> list[tuple[Drives, Array]]:
     found = study.of_twin(study.hypothesis)
     drawn, zeros = found.value, found.zeros - found.zeros.mean(axis=0)
     own = np.where([name.startswith("torque_zero") for name in study.layout.zeros], zeros[:, 0], zeros.mean(axis=1))
-    beside = systematic * np.random.default_rng(0).standard_normal(drawn[:_REDRAWN].shape) * study.value
+    beside = systematic * np.random.default_rng(0).standard_normal(drawn[: limits.REDRAWN.value].shape) * study.value
     out = []
-    for value, wrong in zip(study.value + drawn[:_REDRAWN] - drawn.mean(axis=0) + beside, own, strict=False):
+    for value, wrong in zip(
+        study.value + drawn[: limits.REDRAWN.value] - drawn.mean(axis=0) + beside, own, strict=False
+    ):
         # values of some draws are those of no arm
         with suppress(ZygosError):
             out.append((realise(study.hypothesis, value), wrong))

@@ -7,18 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zygos import limits
 from zygos.effects import Kind, is_column
 from zygos.gap.forecast import Forecast, Stretches
-from zygos.quantiles import normal_isf
 
-INTERVAL = float(normal_isf(0.025))
-"""Standard deviations of a 95 % interval."""
-DIFFERS = 3.0
-"""Standard deviations by which a value differs from the simulation's."""
-DISAGREE = 4.5
-"""Standard deviations by which the runs may not disagree on a value."""
-MATERIAL = 0.005
-"""Share below which a difference of values does not matter."""
 FLEXIBILITY = "joint_flexibility"
 """Kind of a finding that is no entry of the catalogue: the simulation's joint is rigid."""
 ROTOR_INERTIA = "rotor_inertia"
@@ -51,7 +43,7 @@ class Value:
     @property
     def absent(self) -> bool:
         """Whether it is an effect of which the runs show nothing."""
-        return is_column(self.name) and abs(self.found) < DIFFERS * self.sigma
+        return is_column(self.name) and abs(self.found) < limits.DIFFERS_Z.value * self.sigma
 
     @property
     def differs(self) -> bool:
@@ -59,8 +51,8 @@ class Value:
         apart = abs(self.found - self.delivered)
         return bool(
             np.isfinite(apart)
-            and apart > DIFFERS * np.hypot(self.sigma, self.delivered_sigma)
-            and apart > MATERIAL * abs(self.delivered)
+            and apart > limits.DIFFERS_Z.value * np.hypot(self.sigma, self.delivered_sigma)
+            and apart > limits.MATERIAL_DIFFERENCE.value * abs(self.delivered)
         )
 
 
@@ -138,7 +130,7 @@ class Finding:
     @property
     def interval(self) -> tuple[float, float]:
         """95 %."""
-        return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
+        return self.value - limits.INTERVAL_Z.value * self.sigma, self.value + limits.INTERVAL_Z.value * self.sigma
 
     @property
     def signed(self) -> bool:

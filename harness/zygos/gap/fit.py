@@ -12,15 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Parameter
 from zygos.effects import CATALOGUE, column_name
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums
 
 Array = NDArray[np.float64]
-
-_EMPTY = 1e-12
-"""Smallest eigenvalue of sums, scaled to a unit diagonal, from which on the coefficients are told apart."""
 
 
 @dataclass(frozen=True)
@@ -169,10 +167,10 @@ def shares_of_pairs(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array,
     rest = total[count:, count:] - total[count:, :count] @ np.linalg.solve(total[:count, :count], total[:count, count:])
     gram, right = rest[:-1, :-1], rest[:-1, -1]
     own = np.diagonal(gram)
-    seen = own > _EMPTY
+    seen = own > limits.TOLD_APART.value
     alone = np.where(seen, right**2 / np.where(seen, own, 1.0), 0.0)
     product = np.outer(own, own)
-    apart = np.outer(seen, seen) & (product - gram**2 > _EMPTY * product)
+    apart = np.outer(seen, seen) & (product - gram**2 > limits.TOLD_APART.value * product)
     both = right[:, None] ** 2 * own + right**2 * own[:, None] - 2.0 * np.outer(right, right) * gram
     taken = np.where(apart, both / np.where(apart, product - gram**2, 1.0), np.maximum(alone[:, None], alone))
     return np.asarray(taken / rest[-1, -1], dtype=np.float64)
@@ -184,7 +182,7 @@ def influence(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array, name:
     whole, settled = _normal(hypothesis, runs, weight)
     total = whole[:-1, :-1]
     scale = np.sqrt(np.maximum(np.diagonal(total), 0.0))
-    if not np.all(scale > 0.0) or np.linalg.eigvalsh(total / np.outer(scale, scale))[0] < _EMPTY:
+    if not np.all(scale > 0.0) or np.linalg.eigvalsh(total / np.outer(scale, scale))[0] < limits.TOLD_APART.value:
         raise Undecided(f"these runs do not tell {name} from the other coefficients")
     unit = np.zeros(len(total))
     unit[hypothesis.names.index(name)] = 1.0
@@ -290,7 +288,7 @@ def _solve(total: Array, names: Sequence[str], *, blind: bool) -> Array:
     scaled = matrix / (scale[..., :, None] * scale[..., None, :])
     # draws of a twin differ little
     one = scaled.reshape(-1, *scaled.shape[-2:])[0]
-    if len(one) and np.min(np.linalg.eigvalsh(one)[0]) < _EMPTY:
+    if len(one) and np.min(np.linalg.eigvalsh(one)[0]) < limits.TOLD_APART.value:
         raise Undecided(
             "these runs do not tell the parameters apart (a combination of columns is empty); remedy: a motion that "
             "moves every joint, at different speeds; more of the same motion adds nothing"

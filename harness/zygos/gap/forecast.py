@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
@@ -27,15 +28,6 @@ from zygos.gap.twin import Twin, measure
 from zygos.runs.smoother import coefficients
 
 Array = NDArray[np.float64]
-
-HORIZON_S = 0.5
-"""Of the fit and of the prediction."""
-_ROUNDS = 3
-_DIVERGED = 1e200
-_STRAY = 30.0
-_MOST = 60
-"""Segments that are predicted at most; fewer of arms whose states are longer than `_LENGTH`."""
-_LENGTH = 16
 
 
 @dataclass(frozen=True)
@@ -157,7 +149,7 @@ class Forecast:
     @property
     def tenth(self) -> float:
         """What a tenth of the segments exceeds, sigma."""
-        return float(np.percentile(self._each, 90, method="higher"))
+        return float(np.percentile(self._each, limits.TAIL_PERCENT.value, method="higher"))
 
     @property
     def signals(self) -> Array:
@@ -169,7 +161,7 @@ class Forecast:
         with np.errstate(over="ignore", invalid="ignore"):
             square = self.residual**2
         # beyond all reason is as good as infinite, and sums without overflow
-        return np.where(square < _DIVERGED, square, np.inf)
+        return np.where(square < limits.DIVERGED.value, square, np.inf)
 
     @property
     def _each(self) -> Array:
@@ -198,7 +190,7 @@ def cut_twin(twin: Twin, seed: int = 0) -> Stretches:
 
 
 def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]], run: Readings, name: str) -> Stretches:
-    half, n = arm.smoother.points // 2, max(2, round(HORIZON_S / arm.period_s))
+    half, n = arm.smoother.points // 2, max(2, round(limits.HORIZON_S.value / arm.period_s))
     first = max(half, 1)
     listed = [
         (at, k, at - a)
@@ -208,7 +200,7 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     if not listed:
         raise ZygosError(f"{name}: no stretch is long enough to predict anything; remedy: a run from a better bus")
     placed = np.array(listed)
-    most = min(_MOST, _MOST * _LENGTH // (4 * arm.n + 4))
+    most = min(limits.MOST_STRETCHES.value, limits.MOST_STRETCHES.value * limits.LONG_STATE.value // (4 * arm.n + 4))
     if len(placed) > most:
         placed = placed[np.linspace(0, len(placed) - 1, most).round().astype(np.int64)]
     starts = placed[:, 0]
@@ -249,7 +241,7 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect], 
     unpack, free = _free(dynamics, joints, segments.width)
     width = segments.width
     scale = np.concatenate([sigma[2 * joints :], np.tile(sigma[: 2 * joints], 2)])
-    scale[width + 2 * joints :] /= HORIZON_S
+    scale[width + 2 * joints :] /= limits.HORIZON_S.value
     scale = scale[free]
 
     memory = segments.memory(dynamics)
@@ -292,7 +284,7 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect], 
         solver, left, guess = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1)), first[0], x
     else:
         solver, left, guess = near.solver, misfit(move(x, 1, n))[0], x
-    for _ in range(_ROUNDS):
+    for _ in range(limits.FORECAST_ROUNDS.value):
         strayed = (hold @ ((x - guess) / scale)[..., None])[..., 0]
         x = x - (solver @ np.concatenate([left, strayed], axis=1)[..., None])[..., 0] * scale
         left = misfit(move(x, 1, n))[0]
@@ -306,7 +298,7 @@ def _held(segments: Stretches) -> Array:
     arm, joints = segments.arm, segments.arm.n
     rate = float(np.linalg.norm(coefficients(arm.smoother.points, arm.smoother.order, 0.0, 1))) / arm.period_s
     angles = segments.sigma[: 2 * joints]
-    return _STRAY * np.concatenate([segments.sigma[2 * joints :], angles, rate * angles])
+    return limits.STRAY.value * np.concatenate([segments.sigma[2 * joints :], angles, rate * angles])
 
 
 def _free(dynamics: Drives, joints: int, width: int) -> tuple[Callable[[Array], Array], NDArray[np.int64]]:

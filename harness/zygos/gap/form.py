@@ -19,17 +19,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.errors import Undecided
 from zygos.gap.balances import Acting, Sums, law_along
-from zygos.gap.findings import DIFFERS
 from zygos.gap.fit import fit, held
 from zygos.gap.parts import Part, parts_of
 from zygos.gap.study import Study, base_values, laid_out
 
 Array = NDArray[np.float64]
-
-_LEFT_OUT = 1e-3
-"""Weight of a balance that is left out."""
 
 
 def form_sigma(study: Study, name: str) -> float:
@@ -86,10 +83,10 @@ def _of_balances(study: Study, name: str) -> float:
     most = 0.0
     for balance in hypothesis.balances:
         weight = study.weight.copy()
-        weight[balance] *= _LEFT_OUT
+        weight[balance] *= limits.LEFT_OUT.value
         with suppress(Undecided):
             moved = fit(hypothesis, study.sums, weight).of(name) - fit(hypothesis, study.twin_sums, weight).of(name)
             by = moved - whole
-            if abs(by.mean()) > DIFFERS * by.std(ddof=1):
+            if abs(by.mean()) > limits.DIFFERS_Z.value * by.std(ddof=1):
                 most = max(most, float(np.sqrt(by.mean() ** 2 - by.var(ddof=1))))
     return most

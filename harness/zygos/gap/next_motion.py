@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.can.run import Run
 from zygos.errors import ZygosError
 from zygos.gap.balances import accumulate, balance_rows
-from zygos.gap.experiment import THRESHOLD
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import undecided
 from zygos.gap.fit import Hypothesis, fit
@@ -30,21 +30,17 @@ from zygos.simulation.scenario import Scenario
 
 Array = NDArray[np.float64]
 
-_DRAWS = 6
-_RTOL, _ATOL = 1e-7, 1e-9
-"""Tolerances of the integration: its errors are far below the noise of the sensors."""
-
 
 def next_motion(
     found: Explanation,
-    limits: Limits,
+    allowed: Limits,
     arm_file: Path,
     model_file: Path,
     *,
     name: str = "next",
     progress: Callable[[float], None] = lambda share: None,
 ) -> Separating:
-    """The motion that best tells apart the effects that the runs cannot. limits: finite ones of angles and rates.
+    """The motion that best tells apart the effects that the runs cannot. allowed: finite limits of angles and rates.
 
     Errors: ZygosError where nothing has to be told apart; Undecided where no motion within the limits tells them apart.
     """
@@ -57,12 +53,20 @@ def next_motion(
     values = base_values(dynamics, study.layout)
 
     def judge(scenario: Scenario) -> float:
-        moved = simulate(arm, found.simulation, scenario, dynamics=dynamics, noise=False, rtol=_RTOL, atol=_ATOL)
-        if excess := limits.violation(arm, moved.q[0], moved.qd[0], moved.tau[0]):
+        moved = simulate(
+            arm,
+            found.simulation,
+            scenario,
+            dynamics=dynamics,
+            noise=False,
+            rtol=limits.RTOL.value,
+            atol=limits.ATOL.value,
+        )
+        if excess := allowed.violation(arm, moved.q[0], moved.qd[0], moved.tau[0]):
             raise ZygosError(excess)
         record = measured_run(Run.of_cycles(arm, moved.cycles()), Path(scenario.name))
         twin = Twin(record.arm, record.readings())
-        seen = [measure(twin, k) for k in range(_DRAWS)]
+        seen = [measure(twin, k) for k in range(limits.MOTION_DRAWS.value)]
         scores = []
         for both, sizes in hypotheses:
             sums = [
@@ -84,7 +88,7 @@ def next_motion(
         encoder_noise="quantised",
         angular_momentum_nms=_momentum(record, study),
     )
-    return most_separating(template, names, limits, judge, needed=THRESHOLD, progress=progress)
+    return most_separating(template, names, allowed, judge, needed=limits.NAMED_Z.value, progress=progress)
 
 
 def _pairs(study: Study, names: Sequence[str]) -> Iterator[tuple[Hypothesis, list[tuple[str, float]]]]:

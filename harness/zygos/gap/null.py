@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.errors import Undecided
 from zygos.gap.fit import influence
 from zygos.gap.study import Study
@@ -20,15 +21,14 @@ from zygos.quantiles import normal_sf, student_isf, student_sf
 
 Array = NDArray[np.float64]
 
-FLOOR = 4.5
-"""Deviations below which no candidate is named, whatever the draws say: models are not perfect."""
-DRAWS = 500
-FALSE_ALARMS = 0.001
-"""Share of searches on runs that lack nothing in which noise may name something."""
-
 
 def null_scores(
-    study: Study, names: Sequence[str], draws: int = DRAWS, *, runs: Sequence[int] | None = None, seed: int = 0
+    study: Study,
+    names: Sequence[str],
+    draws: int = limits.NULL_DRAWS.value,
+    *,
+    runs: Sequence[int] | None = None,
+    seed: int = 0,
 ) -> Array:
     """(draws, candidates) scores of columns of the catalogue in draws of the study's twin, in their own deviations.
 
@@ -93,7 +93,7 @@ class Chance:
         return self.rate(self.threshold)
 
 
-def chance(study: Study, names: Sequence[str], rate: float = FALSE_ALARMS, *, others: int = 0) -> Chance:
+def chance(study: Study, names: Sequence[str], rate: float = limits.FALSE_ALARMS.value, *, others: int = 0) -> Chance:
     """What is asked of candidates so that on runs that lack nothing at most a share `rate` of searches names one; not
     below `FLOOR`. others: how many more there were from which these were chosen; they count as independent."""
     most = 1.0
@@ -104,8 +104,15 @@ def chance(study: Study, names: Sequence[str], rate: float = FALSE_ALARMS, *, ot
             largest = np.abs(known).max(axis=1)
             most = max(most, float(-len(largest) / np.sum(np.log1p(-2.0 * normal_sf(largest)))))
     readings = study.twin_sums[0].gram[0].shape[0]
-    found = Chance(len(study.records), len(names) + others, most + others, readings - 1, DRAWS, FLOOR)
-    return replace(found, threshold=max(FLOOR, found.needed(rate)))
+    found = Chance(
+        len(study.records),
+        len(names) + others,
+        most + others,
+        readings - 1,
+        limits.NULL_DRAWS.value,
+        limits.NAMED_Z.value,
+    )
+    return replace(found, threshold=max(limits.NAMED_Z.value, found.needed(rate)))
 
 
 def _by_arc(study: Study, names: Sequence[str], runs: Sequence[int], run: int) -> Array:

@@ -13,21 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Effect, Kind, spoken
 from zygos.errors import Undecided
 from zygos.files.output import ratio
-from zygos.gap.adopted import LEAST, Adopted
+from zygos.gap.adopted import Adopted
 from zygos.gap.answer import decided
 from zygos.gap.charts import Charts
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import DISAGREE, INTERVAL, Deflection, Finding, Gap, Value
-from zygos.gap.forecast import HORIZON_S, Forecast
+from zygos.gap.findings import Deflection, Finding, Gap, Value
+from zygos.gap.forecast import Forecast
 from zygos.gap.record import MeasuredRun, letter
 from zygos.gap.residuals import Stage, failing, steps
-from zygos.gap.search import EXCESS, Candidate
+from zygos.gap.search import Candidate
 from zygos.gap.sentences import against, asked_of_candidates, balance_title, evidence, motion, predicted
-from zygos.gap.torque import WINDOW_S
 from zygos.gap.verdicts import Verdict
 from zygos.plan.separating import Separating
 from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, within
@@ -65,13 +65,13 @@ def write_gap_report(
         planned=planned and planned_entry(planned),
         values=_values(x),
         against=_against(x),
-        window=f"{WINDOW_S:g}",
+        window=f"{limits.SLOPE_WINDOW_S.value:g}",
         effects=_effects(x),
         groups=charts.groups,
         subject=charts.subject,
         overlay=charts.overlay,
         runs=[{"letter": letter(k), "path": str(r.path), "length": _length(r)} for k, r in enumerate(x.refit.records)],
-        horizon=f"{HORIZON_S:g}",
+        horizon=f"{limits.HORIZON_S.value:g}",
         whole="Show all of it",
     )
 
@@ -110,7 +110,7 @@ def check_rows(adopted: Adopted | None, verdict: Verdict) -> list[Entry]:
         {
             "name": one.name,
             "found": figure(one.found),
-            "lowest": "more than 0" if one.lowest == LEAST else figure(one.lowest),
+            "lowest": "more than 0" if one.lowest == limits.LEAST_INERTIA.value else figure(one.lowest),
             "highest": figure(one.highest),
             "unit": unit_of(one.unit),
             "beside": one.beside or "physical",
@@ -137,7 +137,7 @@ def _finding(arm: Arm, finding: Finding) -> Entry:
 
 
 def _card(value: Value) -> Entry:
-    low, high = value.found - INTERVAL * value.sigma, value.found + INTERVAL * value.sigma
+    low, high = value.found - limits.INTERVAL_Z.value * value.sigma, value.found + limits.INTERVAL_Z.value * value.sigma
     return {
         "name": value.name,
         "value": down_to(value.found, value.sigma),
@@ -330,14 +330,14 @@ def _waterfall(x: Explanation) -> Entry:
                 "name": _STEPS[step.stage][0] or f"+ {spoken(x.arm, step.column)}",
                 "note": _STEPS[step.stage][1],
                 "left": figure(step.left) if step.left > _LEAST else "none",
-                "share": f"{100.0 * max(0.0, step.left) / first:.3g}" if k and first > EXCESS else "–",
+                "share": f"{100.0 * max(0.0, step.left) / first:.3g}" if k and first > limits.EXCESS.value else "–",
                 "at": scale.at(step.left),
                 "colour": "delivered" if not k else "closed" if k > 1 and k == len(listed) - 1 else "refit",
             }
             for k, step in enumerate(listed)
         ],
         "ticks": scale.ticks,
-        "matters": first > EXCESS,
+        "matters": first > limits.EXCESS.value,
     }
 
 
@@ -418,7 +418,7 @@ def _against(x: Explanation) -> Entry:
                 "each": [within(v, s) if np.isfinite(v) else "–" for v, s in zip(each[:, i], sigma[:, i], strict=True)],
                 "all": within(float(study.value[i]), float(study.spread[i])),
                 "z": figure(z, 2),
-                "apart": z > DISAGREE,
+                "apart": z > limits.DISAGREE_Z.value,
             }
         )
     return {"rows": rows if len(runs) > 1 else [], "runs": runs, "added": x.closed is not x.refit}

@@ -8,15 +8,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.effects import Kind, Motion
 
 Array = NDArray[np.float64]
-
-_STRATA = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)
-"""Shares of the square of the law's torque up to which the strata reach: time near rest is short, and rows see little
-of it."""
-_REVERSAL = 1 / 16
-"""The share in which what lags behind the law is looked at: there a hysteresis differs most from a law without one."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +43,9 @@ def parts_of(kind: Kind, torque: Array, size: Array) -> list[Part]:
         share = float(square[(size >= low) & (size < high)].sum() / grown[-1])
         return Part(_cut(kind, name, low, high, lags=lags), share, lags)
 
-    edges = [*enumerate(pairwise([0.0, *map(below, _STRATA)]))]
+    edges = [*enumerate(pairwise([0.0, *map(below, limits.STRATA.value)]))]
     strata = [part(f"stratum{'abcdef'[k]}", low, high) for k, (low, high) in edges]
-    return [one for one in (*strata, part("lagging", 0.0, below(_REVERSAL), lags=True)) if one.share > 0.0]
+    return [one for one in (*strata, part("lagging", 0.0, below(limits.REVERSAL.value), lags=True)) if one.share > 0.0]
 
 
 def _cut(kind: Kind, name: str, low: float, high: float, *, lags: bool) -> Kind:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.errors import ZygosError
-from zygos.gap.findings import INTERVAL
 from zygos.model.model import Model
 from zygos.quantiles import student_factor
 
@@ -24,12 +24,6 @@ Array = NDArray[np.float64]
 _ELEMENTS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _PLANE = ("m", "mx", "my", "Izz")
 _UNITS = {"m": "kg", "I": "kg m^2"}
-SYSTEMATIC = 3e-4
-"""Share of a parameter by which fits of single runs of 20 s were found to err beyond their twins' draws."""
-_BLIND = 1e-9
-"""Share of the largest scaled derivative below which the parameters do not show an element."""
-_ALIKE = 1e-10
-"""Smallest eigenvalue of the normal equations, scaled, at which elements are told apart."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +38,7 @@ class PayloadValue:
     @property
     def interval(self) -> tuple[float, float]:
         """95 %."""
-        return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
+        return self.value - limits.INTERVAL_Z.value * self.sigma, self.value + limits.INTERVAL_Z.value * self.sigma
 
 
 def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, drawn: Array) -> tuple[PayloadValue, ...]:
@@ -60,7 +54,7 @@ def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, dr
     except ZygosError:
         return ()
     at = [arm.parameter_names.index(name) for name in names]
-    covariance = np.atleast_2d(np.cov(drawn, rowvar=False)) + np.diag((SYSTEMATIC * before[at]) ** 2)
+    covariance = np.atleast_2d(np.cov(drawn, rowvar=False)) + np.diag((limits.SYSTEMATIC.value * before[at]) ** 2)
     weight = 1.0 / np.sqrt(np.diag(covariance))
     own = [k for k, one in enumerate(_ELEMENTS) if arm.spatial or one in _PLANE]
 
@@ -74,12 +68,12 @@ def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, dr
     scale = _scale(last.mass.value, last.origin_xyz, np.array([one.value for one in last.inertia]))[own]
 
     def slope(x: Array) -> Array:
-        step = 1e-6 * scale
-        columns = [(grown(x + s) - grown(x - s)) / (2e-6) for s in np.diag(step)]
+        step = limits.DIFFERENCE_STEP.value * scale
+        columns = [(grown(x + s) - grown(x - s)) / (2.0 * limits.DIFFERENCE_STEP.value) for s in np.diag(step)]
         return np.asarray(np.stack(columns, axis=1) * weight[:, None], dtype=np.float64)
 
     size = np.linalg.norm(slope(np.zeros(len(own))), axis=0)
-    seen = size > _BLIND * size.max()
+    seen = size > limits.BLIND.value * size.max()
     own, scale = [k for k, good in zip(own, seen, strict=True) if good], scale[seen]
     if len(own) > len(at):
         return ()
@@ -89,11 +83,11 @@ def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, dr
     columns = slope(scale * found.x)
     unit = np.linalg.norm(columns, axis=0)
     eigen = np.linalg.eigvalsh((columns / unit).T @ (columns / unit))
-    if not found.success or eigen[0] < _ALIKE:
+    if not found.success or eigen[0] < limits.ELEMENTS_TOLD_APART.value:
         return ()
     inverse = np.linalg.pinv(columns) * weight
     # the deviations come from few draws
-    wide = float(student_factor(0.95, max(1, len(drawn) - 1))) / INTERVAL
+    wide = float(student_factor(limits.CONFIDENCE.value, max(1, len(drawn) - 1))) / limits.INTERVAL_Z.value
     sigma = wide * scale * np.sqrt(np.diag(inverse @ covariance @ inverse.T))
     body = len(model.bodies) - 1
     return tuple(
@@ -109,7 +103,7 @@ def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, dr
 
 def _scale(mass: float, origin: tuple[float, float, float], inertia: Array) -> Array:
     """Sizes of the ten elements of a body."""
-    reach = max(float(np.linalg.norm(origin)), 1e-3)
+    reach = max(float(np.linalg.norm(origin)), limits.LEAST_REACH_M.value)
     return np.array([mass, *[mass * reach] * 3, *[max(float(np.abs(inertia).max()), mass * reach**2)] * 6])
 
 

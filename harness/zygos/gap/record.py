@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.balances.field import nadir_along
 from zygos.balances.readings import Readings
@@ -25,10 +26,6 @@ from zygos.runs.samples import Samples, calibrate
 from zygos.runs.smoother import BANDWIDTH_SIGMAS, bandwidth_coefficients, coefficients
 
 Array = NDArray[np.float64]
-
-
-ARC_S = 10.0
-"""Longest arc, s: W sums up the torques' noise, a constant an arc costs what the encoders' noise allows to know."""
 
 
 @dataclass(frozen=True)
@@ -151,13 +148,15 @@ def measured_run(run: Run, path: Path) -> MeasuredRun:
 
 
 def _arc_length(lengths: Sequence[int], period_s: float) -> int:
-    """Instants of an arc: as long as `ARC_S` allows without losing much of the stretches that are shorter."""
+    """Instants of an arc: as long as limits.ARCS_S allows without losing much of the stretches that are shorter."""
     longest = max(lengths, default=0)
     if longest <= 0:
         return 0
-    sizes = [longest // max(1, round(longest * period_s / wanted)) for wanted in (ARC_S, 5.0, 3.0, 2.0)]
+    sizes = [longest // max(1, round(longest * period_s / wanted)) for wanted in limits.ARCS_S.value]
     covered = [sum(length // size * size for length in lengths if length > 0) for size in sizes]
-    return next(size for size, found in zip(sizes, covered, strict=True) if found >= 0.8 * max(covered))
+    return next(
+        size for size, found in zip(sizes, covered, strict=True) if found >= limits.COVERED.value * max(covered)
+    )
 
 
 def smoothed_states(arm: Arm, readings: Readings) -> State:

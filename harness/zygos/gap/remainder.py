@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.balances.state import State
 from zygos.gap.findings import Gap
@@ -18,17 +19,6 @@ from zygos.gap.verdicts import Remainder, Unpredicted
 from zygos.gap.whereabouts import joint_of
 
 Floats = NDArray[np.float64]
-
-CLOSED = 3.0
-"""Error of predictions over the floor's from which on an untouched run does not close."""
-FAR = 5.0
-"""The same from which on something is missing that no balance shows: an offset or a gain of the torques that is taken
-from the runs is not exact, and its errors alone have reached three."""
-_WINDOW_S = 0.1
-"""Time over which the slope of a residual is taken: the torque or the power that is missing."""
-_BINS = 24
-_TELLS = 0.2
-"""Share of the slope's variance that must go with a quantity to be mentioned."""
 
 
 def closes(gap: Gap) -> bool:
@@ -47,13 +37,13 @@ def unclosed(gap: Gap) -> tuple[int, ...]:
 def far_off(gap: Gap) -> Unpredicted | None:
     """The untouched run that is predicted worst, where that is beyond all that errors of values and sensors do."""
     each = [Unpredicted(gap.runs[k], gap.closed.of_run(k).median, allowed_by(gap, k)[0]) for k in unclosed(gap)]
-    far = [one for one in each if one.median > FAR * one.allowed]
+    far = [one for one in each if one.median > limits.CLOSED_TORQUES.value * one.allowed]
     return max(far, key=lambda one: one.median / one.allowed, default=None)
 
 
 def _closes(gap: Gap, run: int) -> bool:
     found, (median, tenth) = gap.closed.of_run(run), allowed_by(gap, run)
-    return bool(found.median <= CLOSED * median and found.tenth <= CLOSED * tenth)
+    return bool(found.median <= limits.CLOSED.value * median and found.tenth <= limits.CLOSED.value * tenth)
 
 
 def allowed_by(gap: Gap, run: int) -> tuple[float, float]:
@@ -92,14 +82,14 @@ def remainders(arm: Arm, study: Study, gap: Gap | None) -> tuple[Remainder, ...]
 def _varies_with(arm: Arm, study: Study, run: int, balance: int) -> tuple[str, float]:
     """The quantity that says most about the slope of a balance's residual, and its share of the variance."""
     left, state = residuals(study, run)
-    window = max(2, round(_WINDOW_S / arm.period_s))
+    window = max(2, round(limits.SLOPE_WINDOW_S.value / arm.period_s))
     y = (left[balance][:, window:] - left[balance][:, :-window])[:, ::window]
     listed = [
         (explained_share(over[:, window // 2 :][:, : y.shape[1] * window : window], y), name)
         for name, over in _quantities(arm, state, study.records[run].time_s, joint_of(study.layout.balances[balance]))
     ]
     share, name = max(listed)
-    return (name, share) if share > _TELLS else ("", 0.0)
+    return (name, share) if share > limits.TELLS.value else ("", 0.0)
 
 
 def _quantities(arm: Arm, state: State, time: Floats, joint: int | None) -> Iterator[tuple[str, Floats]]:
@@ -119,11 +109,11 @@ def explained_share(over: Floats, values: Floats) -> float:
     x, y = over[:, :count].ravel(), values[:, :count].ravel()
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
-    if len(y) < 4 * _BINS or not np.var(y) > 0.0:
+    if len(y) < 4 * limits.BINS.value or not np.var(y) > 0.0:
         return 0.0
-    edges = np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1)[1:-1])
+    edges = np.quantile(x, np.linspace(0.0, 1.0, limits.BINS.value + 1)[1:-1])
     index = np.searchsorted(edges, x)
-    counts = np.maximum(np.bincount(index, minlength=_BINS), 1)
-    means = np.bincount(index, weights=y, minlength=_BINS) / counts
-    left = float(np.sum((y - means[index]) ** 2)) / (len(y) - _BINS)
+    counts = np.maximum(np.bincount(index, minlength=limits.BINS.value), 1)
+    means = np.bincount(index, weights=y, minlength=limits.BINS.value) / counts
+    left = float(np.sum((y - means[index]) ** 2)) / (len(y) - limits.BINS.value)
     return 1.0 - left / float(np.var(y, ddof=1))

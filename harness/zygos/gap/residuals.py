@@ -9,22 +9,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.balances.state import State
 from zygos.dynamics.equations import from_model
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
 from zygos.gap.record import MeasuredRun
-from zygos.gap.search import EXCESS
 from zygos.gap.study import Study, coefficient, residuals
 
 Array = NDArray[np.float64]
 Stage = Literal["delivered", "refit", "flexibility", "candidate", "closed"]
 
-FAILS = math.sqrt(1.0 + EXCESS)
+FAILS = math.sqrt(1.0 + limits.EXCESS.value)
 """rho from which on a balance fails."""
-_FEWEST = 4
-"""Values in a bin that has a median."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ def medians(over: Array, values: Array, edges: Array) -> Array:
     out = np.full(len(edges) - 1, np.nan)
     for k in range(len(out)):
         inside = y[index == k]
-        if len(inside) >= _FEWEST:
+        if len(inside) >= limits.BIN_VALUES.value:
             out[k] = np.median(inside)
     return out
 
@@ -159,7 +157,7 @@ def poor_segment(gap: Gap) -> int:
     """The segment that the refit predicts worse than nine tenths of the others."""
     each = _rms(gap.refit.residual, (1, 2))
     order = np.argsort(np.where(np.isfinite(each), each, np.inf), kind="stable")
-    return int(order[round(0.9 * (len(order) - 1))])
+    return int(order[round(limits.TAIL_PERCENT.value / 100.0 * (len(order) - 1))])
 
 
 def _rms(values: Array, axis: int | tuple[int, ...]) -> Array:

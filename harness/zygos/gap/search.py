@@ -11,51 +11,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.effects import Kind
 from zygos.errors import Undecided
 from zygos.gap.balances import Acting
-from zygos.gap.experiment import THRESHOLD
 from zygos.gap.findings import Disagreement
 from zygos.gap.fit import Hypothesis, fit, shares_of_pairs
 from zygos.gap.null import Chance, chance, null_sigmas
-from zygos.gap.study import FEW, Study, again, laid_out
+from zygos.gap.study import Study, again, laid_out
 from zygos.quantiles import chi_square_isf, chi_square_ppf, normal_sf
 
 Array = NDArray[np.float64]
 Against = Literal["", "insignificant", "inconsistent", "negative", "not transferable", "not the rotor"]
 """What speaks against a candidate: not beyond its twin on both runs, of another size on each run, creating energy, of
 no help on the second run, not of the size of the rotor's inertia; empty where nothing does."""
-
-AGREEMENT = 0.25
-"""Share by which the coefficients of the runs, and that of all runs together, may differ: a law that differs in form
-from its column has no one size."""
-STEADY = 0.05
-"""Share by which they may differ beyond noise for the law to be exactly that of its column: it says that its size is a
-constant of the arm."""
-_SAME = 4.0
-"""Standard deviations by which they may differ in any case."""
-EXCESS = 0.2
-"""A balance has something to explain where rho^2 - 1 is above this, and above what the twin itself varies by."""
-CERTAIN = 4.0
-"""Standard deviations of the twin's rho^2 that an excess must exceed."""
-COMPLETE = 0.95
-"""Share of the excess that a set of effects must take away to bear their names."""
-REST = 0.8
-"""Share of what is still left over that an effect must take away to be named after the set is complete: a small effect
-beside a large one, but not a large one's law that is not quite its column's."""
-PROMISING = 0.8
-"""Share of all that is left over that two candidates must take away to be looked at run by run."""
-PARTLY = 0.6
-MOST = 4
-"""Effects that are looked for."""
-_POLISHES_ALWAYS, _POLISHES = 2, 5
-"""Grids of shapes that are tried one after the other: in any case, and at most."""
-_ENTRIES, _SHAPES, _PAIRS = 8, 2, 6
-"""Of the entries that are searched last, those that are judged in each round: so many that explain most by themselves,
-so many shapes of each, and so many pairs that explain most together."""
-_ONCE_IN_TWENTY = 1.645
-_AS_MUCH = 0.01
-"""Share of the excess that a law with a shape must explain more than the law without one that it becomes."""
 
 
 @dataclass(frozen=True)
@@ -143,15 +112,15 @@ def allowed(study: Study) -> tuple[Array, Array]:
     It varies as a sum of squares does whose deviation is the twin's. Beyond that, `EXCESS` is allowed for.
     """
     freedom = 2.0 / np.maximum(study.wobble, 1e-6) ** 2
-    tail = normal_sf(CERTAIN)
+    tail = normal_sf(limits.EXCESS_Z.value)
     least, most = 1.0 - chi_square_ppf(tail, freedom) / freedom, chi_square_isf(tail, freedom) / freedom - 1.0
-    return np.maximum(least, EXCESS), np.maximum(most, EXCESS)
+    return np.maximum(least, limits.EXCESS.value), np.maximum(most, limits.EXCESS.value)
 
 
 def noisy(study: Study) -> bool:
     """Whether noise of the torques, which adds up along an arc, hides in each balance what candidates can show: then
     their scores say whether there is something to explain."""
-    return bool(study.layout.of_torque.any() and np.nanmax(CERTAIN * study.wobble) > EXCESS)
+    return bool(study.layout.of_torque.any() and np.nanmax(limits.EXCESS_Z.value * study.wobble) > limits.EXCESS.value)
 
 
 def completeness(before: Study, rms: Array) -> tuple[float, ...]:
@@ -160,7 +129,7 @@ def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     out = []
     after = (rms / before.noise) ** 2 - 1.0
     for old, kept, wobble in zip(before.excess**2 - 1.0, after, before.wobble, strict=True):
-        counts = np.isfinite(old) & (old > EXCESS)
+        counts = np.isfinite(old) & (old > limits.EXCESS.value)
         left = np.maximum(kept - 2.0 * wobble, 0.0)
         out.append(1.0 - float(np.sum(left[counts]) / np.sum(old[counts])) if counts.any() else 1.0)
     return tuple(out)
@@ -182,8 +151,8 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None, every: St
         step(f"round {len(rounds) + 1}: every candidate")
         listed = candidates(now, before, luck.threshold)
         rounds.append(listed)
-        done = bool(named) and min(share) >= COMPLETE
-        passing = (c for c in listed if c.passes and (not done or c.of_rest >= REST))
+        done = bool(named) and min(share) >= limits.COMPLETE.value
+        passing = (c for c in listed if c.passes and (not done or c.of_rest >= limits.REST.value))
         best = _simplest(next(passing, None), listed)
         if best is None and not named and excess(now):
             step("pairs of candidates")
@@ -198,7 +167,7 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None, every: St
                 share = completeness(before, now.excess * before.noise)
                 continue
         over = (bool(named) and not done) or excess(now) or noisy(now)
-        if best is None or not over or len(named) >= MOST:
+        if best is None or not over or len(named) >= limits.MOST_EFFECTS.value:
             break
         try:
             step(f"{best.kind.title}: its twin")
@@ -206,11 +175,13 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None, every: St
         except Undecided:
             break
         gained = completeness(before, grown.excess * before.noise)
-        if (named and not done and min(gained) < min(share) + 0.05) or (turned and min(gained) <= min(share)):
+        if (named and not done and min(gained) < min(share) + limits.GAINS.value) or (
+            turned and min(gained) <= min(share)
+        ):
             break
         named = [*(one for one in named if one not in turned), best]
         now, share = grown, gained
-        if every is not None and (min(share) < COMPLETE or excess(now)):
+        if every is not None and (min(share) < limits.COMPLETE.value or excess(now)):
             step(f"round {len(rounds) + 1}: every entry of the catalogue")
             now = shortlisted(now, widened(now), own)
     named, now = _retest(named, now, before)
@@ -221,7 +192,7 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None, every: St
 
 def widened(study: Study) -> Study:
     """The same study with every entry of the catalogue, beside a few draws of its twins: enough to rank them."""
-    return laid_out(study, replace(study.layout, wide=True), FEW)
+    return laid_out(study, replace(study.layout, wide=True), limits.FEW_DRAWS.value)
 
 
 def shortlisted(study: Study, every: Study, own: tuple[Acting, ...]) -> Study:
@@ -238,14 +209,16 @@ def shortlisted(study: Study, every: Study, own: tuple[Acting, ...]) -> Study:
     kept: list[Acting] = []
     seen: dict[str, int] = {}
     for one in sorted((x for x in left if x.name not in usual), key=left.__getitem__):
-        if seen.get(one.plain, 0) < _SHAPES and (one.plain in seen or len(seen) < _ENTRIES):
+        if seen.get(one.plain, 0) < limits.LATE_SHAPES.value and (
+            one.plain in seen or len(seen) < limits.LATE_ENTRIES.value
+        ):
             seen[one.plain] = seen.get(one.plain, 0) + 1
             kept.append(one)
     # a momentum that is assumed is part of the right side: its column is no addition
     tried = [one for one in left if one.kind.key != "angular_momentum"]
     shares = shares_of_pairs(hypothesis, every.sums, every.weight, [one.name for one in tried])
     pairs = [(i, j) for i, j in combinations(range(len(tried)), 2) if tried[i].plain != tried[j].plain]
-    for i, j in sorted(pairs, key=lambda at: -shares[at])[:_PAIRS]:
+    for i, j in sorted(pairs, key=lambda at: -shares[at])[: limits.LATE_PAIRS.value]:
         kept += [tried[i], tried[j]]
     named = [every.layout.find(name) for name in hypothesis.effects if name not in {one.name for one in own}]
     return laid_out(study, replace(study.layout, wide=False, own=tuple(dict.fromkeys((*own, *named, *kept)))))
@@ -262,14 +235,14 @@ def limits_beyond(study: Study, every: Study) -> tuple[Limit, ...]:
     listed = [one for one in every.layout.effects if one.name not in usual and possible(every.hypothesis, one)]
     names = [one.name for one in listed]
     sigma = np.max([null_sigmas(every, names, [run]) for run in range(len(every.records))], axis=0)
-    least = np.sqrt(allowed(study)[1] + _ONCE_IN_TWENTY * study.wobble)
+    least = np.sqrt(allowed(study)[1] + limits.CHANCE_Z.value * study.wobble)
     out = []
     for one, own in zip(listed, sigma.tolist(), strict=True):
         with suppress(Undecided):
             unit = fit(every.hypothesis, every.sums, every.weight, target=one.name).rms / every.noise
             with np.errstate(divide="ignore"):
                 seen = float(np.nanmin(least / unit))
-            value = max((THRESHOLD + _ONCE_IN_TWENTY) * own, seen)
+            value = max((limits.NAMED_Z.value + limits.CHANCE_Z.value) * own, seen)
             if np.isfinite(value):
                 out.append(Limit(one.name, one.kind, one.joint, one.shape, value))
     return tuple(out)
@@ -287,7 +260,9 @@ def unsteady(found: Search) -> tuple[Disagreement, ...]:
             for run, draw in enumerate(null)
         ]
         spread = max(float(draw.std(ddof=1)) for draw in null)
-        if max(each) - min(each) > max(_SAME * spread, STEADY * abs(float(study.value[k]))):
+        if max(each) - min(each) > max(
+            limits.AGREE_Z.value * spread, limits.STEADY_SHARE.value * abs(float(study.value[k]))
+        ):
             out.append(Disagreement(name, each[0], max(each[1:], key=lambda x: abs(x - each[0]))))
     return tuple(out)
 
@@ -313,7 +288,7 @@ def rivals(found: Search, every: Study) -> tuple[Acting, ...]:
             with suppress(Undecided):
                 alone = every.of(replace(plain, effects=(*rest, one.name)))
                 creates = one.kind.positive and alone.of(one.name) < 0.0
-                if creates or min(completeness(found.before, alone.rms)) < COMPLETE:
+                if creates or min(completeness(found.before, alone.rms)) < limits.COMPLETE.value:
                     continue
                 own = _total(alone.rms, every.noise)
                 if not (_stands_aside(every, named, one) or (own < left and _stands_out(every, one, found.chance))):
@@ -328,7 +303,7 @@ def _stands_aside(every: Study, named: Candidate, one: Acting) -> bool:
     both = replace(every.hypothesis, effects=(*every.hypothesis.effects, one.name))
     value = float(every.of(both).of(named.name))
     sigma = float(null_sigmas(replace(every, hypothesis=both), [named.name])[0])
-    return abs(value) < THRESHOLD * sigma or (named.kind.positive and value < 0.0)
+    return abs(value) < limits.NAMED_Z.value * sigma or (named.kind.positive and value < 0.0)
 
 
 def _stands_out(every: Study, one: Acting, luck: Chance) -> bool:
@@ -349,8 +324,8 @@ def with_rivals(basis: Study, every: Sequence[Acting]) -> Study:
 def polished(found: Search) -> Search:
     """The search with the shapes of the named laws between those of the catalogue's grid: the best of finer and finer
     grids, twice, and up to five times while a balance still leaves something over."""
-    for number in range(_POLISHES):
-        if number >= _POLISHES_ALWAYS and not excess(found.after):
+    for number in range(limits.MOST_POLISHES.value):
+        if number >= limits.POLISHES.value and not excess(found.after):
             break
         shaped = [one for one in found.named if one.shape is not None and one.kind.shape_varies]
         for one in shaped:
@@ -363,7 +338,10 @@ def _needed(found: Search) -> Search:
     for one in reversed(found.named):
         rest = tuple(name for name in found.after.hypothesis.effects if name != one.name)
         hypothesis = replace(found.after.hypothesis, effects=rest)
-        if len(found.named) < 2 or min(completeness(found.before, found.after.of(hypothesis).rms)) < COMPLETE:
+        if (
+            len(found.named) < 2
+            or min(completeness(found.before, found.after.of(hypothesis).rms)) < limits.COMPLETE.value
+        ):
             continue
         with suppress(Undecided):
             less = struck(found, one)
@@ -401,7 +379,7 @@ def judged_beside(found: Search, study: Study) -> Search | None:
         named.append(replace(one, value=value, each=tuple(own), z=z, sigma=float(study.spread[k]), completeness=share))
     sets = tuple(_inseparable(one, study, found.before) for one in named)
     instead = replace(found, after=study, named=tuple(named), completeness=share, sets=sets)
-    return None if min(share) < COMPLETE or rivals(instead, widened(study)) else instead
+    return None if min(share) < limits.COMPLETE.value or rivals(instead, widened(study)) else instead
 
 
 def _reshaped(found: Search, one: Candidate) -> Search:
@@ -414,7 +392,7 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     known = sorted({*(dict(layout.shapes).get(plain) or own), *one.kind.shapes, shape})
     at = min(range(len(known)), key=lambda k: abs(np.log(known[k] / shape)))
     low, high = known[max(at - 1, 0)], known[min(at + 1, len(known) - 1)]
-    fine = tuple(float(f"{x:.6g}") for x in np.geomspace(low, high, 7))
+    fine = tuple(float(f"{x:.6g}") for x in np.geomspace(low, high, limits.FINE_SHAPES.value))
     shapes = (*((name, grid) for name, grid in layout.shapes if name != plain), (plain, fine))
     others = tuple(name for name in after.hypothesis.effects if name != one.name)
     # what was named, and what cannot be told from it, is all that is still asked for
@@ -451,7 +429,7 @@ def _pair(now: Study, listed: Sequence[Candidate], level: float) -> list[Candida
         wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, first.name, second.name))
         try:
             share = completeness(now, now.of(wider).rms)
-            if min(share) < COMPLETE:
+            if min(share) < limits.COMPLETE.value:
                 continue
             each = [_beside(now, first, second, level), _beside(now, second, first, level)]
         except Undecided:
@@ -472,7 +450,7 @@ def _promising(now: Study, listed: Sequence[Candidate]) -> Iterator[tuple[Candid
         if first.name.partition("@")[0] == second.name.partition("@")[0]:
             continue
         known = first.name in at and second.name in at
-        if not known or shares[at[first.name], at[second.name]] > PROMISING:
+        if not known or shares[at[first.name], at[second.name]] > limits.PROMISING.value:
             yield first, second
 
 
@@ -488,7 +466,7 @@ def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Can
     for candidate in list(named):
         rest = tuple(name for name in now.hypothesis.effects if name != candidate.name)
         without = completeness(before, now.of(replace(now.hypothesis, effects=rest)).rms)
-        if len(named) > 1 and min(without) > COMPLETE and candidate.of_rest < REST:
+        if len(named) > 1 and min(without) > limits.COMPLETE.value and candidate.of_rest < limits.REST.value:
             named = [other for other in named if other is not candidate]
             now = again(now, replace(now.hypothesis, effects=rest))
     return named, now
@@ -510,7 +488,7 @@ def _simplest(best: Candidate | None, listed: Sequence[Candidate]) -> Candidate 
     """The candidate, or the law without a shape that it becomes where that explains as much."""
     if best is None or not best.kind.becomes:
         return best
-    enough = best.complete - _AS_MUCH
+    enough = best.complete - limits.SHAPE_GAINS.value
     plain = (one for one in listed if one.kind.key == best.kind.becomes and one.joint == best.joint and one.passes)
     return next((one for one in plain if one.complete >= enough), best)
 
@@ -564,7 +542,9 @@ def _candidate(now: Study, before: Study, one: Acting, level: float) -> Candidat
         against = "negative"
     elif frozen >= 1.0:
         against = "not transferable"
-    elif kind.key == "rotor_coupling" and not 0.5 < value / whole.of(f"Im{joint + 1}") < 1.5:
+    elif kind.key == "rotor_coupling" and not (
+        limits.COUPLING.value[0] < value / whole.of(f"Im{joint + 1}") < limits.COUPLING.value[1]
+    ):
         against = "not the rotor"
     return Candidate(
         name,
@@ -591,10 +571,10 @@ def _one_size(each: Sequence[float], sigma: Sequence[float], pooled: float) -> b
     agree; one set of them for all runs cannot (Hausman's test: of a right model the runs' coefficients scatter about
     the pooled one by no more than their own deviation).
     """
-    trifle = AGREEMENT * abs(pooled)
-    if min(each) < 0.0 < max(each) or max(each) - min(each) > max(_SAME * max(sigma), trifle):
+    trifle = limits.AGREE_SHARE.value * abs(pooled)
+    if min(each) < 0.0 < max(each) or max(each) - min(each) > max(limits.AGREE_Z.value * max(sigma), trifle):
         return False
-    return all(abs(x - pooled) <= max(_SAME * s, trifle) for x, s in zip(each, sigma, strict=True))
+    return all(abs(x - pooled) <= max(limits.AGREE_Z.value * s, trifle) for x, s in zip(each, sigma, strict=True))
 
 
 def _total(rms: Array, noise: Array) -> float:
@@ -604,11 +584,11 @@ def _total(rms: Array, noise: Array) -> float:
 def _limit(now: Study, name: str, null: list[Array], level: float) -> float:
     """The size at which a candidate passes on these runs nineteen times in twenty: it must stand out of its twin and,
     where noise does not hide it, leave an excess behind that the other coefficients do not absorb."""
-    stand_out = (level + _ONCE_IN_TWENTY) * max(float(draw.std(ddof=1)) for draw in null)
+    stand_out = (level + limits.CHANCE_Z.value) * max(float(draw.std(ddof=1)) for draw in null)
     if noisy(now):
         return stand_out
     unit = fit(now.hypothesis, now.sums, now.weight, target=name).rms / now.noise
-    return max(stand_out, float(np.sqrt(EXCESS) / np.min(np.nanmax(unit, axis=1))))
+    return max(stand_out, float(np.sqrt(limits.EXCESS.value) / np.min(np.nanmax(unit, axis=1))))
 
 
 def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, ...]:
@@ -624,7 +604,7 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
         both = replace(now.hypothesis, effects=(*now.hypothesis.effects, other))
         try:
             alone = now.of(instead)
-            if min(completeness(before, alone.rms)) < COMPLETE:
+            if min(completeness(before, alone.rms)) < limits.COMPLETE.value:
                 continue
             if kind.positive and alone.of(other) < 0.0:
                 continue
@@ -636,7 +616,7 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
             together.append(other)
             seen.add(one.plain)
             continue
-        if abs(float(beside)) < THRESHOLD * float(spread):
+        if abs(float(beside)) < limits.NAMED_Z.value * float(spread):
             together.append(other)
             seen.add(one.plain)
     return tuple(together)

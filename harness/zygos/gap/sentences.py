@@ -7,12 +7,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.effects import CATALOGUE, column_named, is_column, spoken
 from zygos.files.output import ratio
 from zygos.gap.changes import BODIES
 from zygos.gap.experiment import Experiment
-from zygos.gap.findings import INTERVAL, Deflection, Disagreement, Finding, Gap, Value
+from zygos.gap.findings import Deflection, Disagreement, Finding, Gap, Value
 from zygos.gap.search import Against, Candidate
 from zygos.gap.verdicts import (
     AboveFloor,
@@ -54,9 +55,6 @@ from zygos.gap.whereabouts import Failing, Whereabouts
 from zygos.report.figures import figure
 
 _BASE = "the base, the gyro, or the momentum that is assumed"
-_VISIBLE = 10.0
-SAID = 4
-"""Values that a sentence names; a table has all."""
 """Refit over floor from which on a gap is plain to see."""
 _AGAINST: dict[Against, str] = {
     "insignificant": "not beyond its twin on both runs",
@@ -213,8 +211,8 @@ def _disagreements(parameters: Sequence[Disagreement]) -> str:
 def _first_of(texts: Iterable[str]) -> str:
     """As many of them as a sentence holds, and how many others there are."""
     listed = list(texts)
-    more = len(listed) - SAID
-    return ", ".join(listed[:SAID]) + (f" and {more} more" if more > 0 else "")
+    more = len(listed) - limits.SAID.value
+    return ", ".join(listed[: limits.SAID.value]) + (f" and {more} more" if more > 0 else "")
 
 
 # findings
@@ -257,7 +255,7 @@ def _named(finding: Finding) -> str:
 
 def sized(value: float, sigma: float, unit: str) -> str:
     """A value and its 95 % interval to two digits of the latter, in words."""
-    half = INTERVAL * sigma
+    half = limits.INTERVAL_Z.value * sigma
     digits = int(np.clip(1 - np.floor(np.log10(half)), 0, 9)) if 0.0 < half < np.inf else 4
     return f"{value:,.{digits}f} ± {half:.{digits}f}" + ("" if unit == "1" else f" {unit}")
 
@@ -350,10 +348,16 @@ def predicted(answer: Answer, gap: Gap, *, added: bool) -> list[str]:
     out: list[str] = []
     if answer in {"named", "part named"} and closed < delivered:
         out.append(f"Against the simulation as delivered it shrinks {figure(ratio(delivered, closed))} ×.")
-    if refit > 1.1 * delivered:
+    if refit > limits.NOT_WORSE.value * delivered:
         out.append("The refit predicts worse than what was delivered: its values bend to fit what they cannot express.")
     if math.isfinite(ratio(refit, floor)) and answer not in {"nothing missing", "values differ"}:
-        seen = "plain to see" if refit >= _VISIBLE * floor else "above the floor" if refit > 1.5 * floor else "faint"
+        seen = (
+            "plain to see"
+            if refit >= limits.VISIBLE.value * floor
+            else "above the floor"
+            if refit > limits.CLEARLY.value * floor
+            else "faint"
+        )
         out.append(f"The refit's is {figure(ratio(refit, floor))} × the floor: {seen}.")
     if math.isfinite(ratio(closed, floor)) and (added or answer != "unknown"):
         out.append(f"What is closed is left with {figure(ratio(closed, floor))} × the floor.")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import TORQUE_STEP
 from zygos.can.run import Run
 from zygos.errors import Undecided, ZygosError
@@ -17,11 +18,6 @@ from zygos.ground.estimate import GroundEstimate, estimate_ground
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
-
-_COMMON = 0.9
-"""Share of the simulated cycles that the measured run must have."""
-_SHOWN = 3.0
-"""Standard deviations from which on the run of a simulator shows an effect."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +73,7 @@ def model_of_simulator(run: Run, measured: Sequence[Run]) -> tuple[Model, Simula
             f"{found.remedy or 'simulate a run that moves every joint'}"
         )
     model = found.to_model()
-    shown = tuple(one for one in model.effects if abs(one.value) > _SHOWN * one.sigma)
+    shown = tuple(one for one in model.effects if abs(one.value) > limits.SHOWN_Z.value * one.sigma)
     return replace(model, name=f"the simulator of {name}", effects=shown), Simulated(run.path, like.path)
 
 
@@ -88,7 +84,7 @@ def _same_torques(run: Run, other: Run) -> bool:
         return False
     first, second = (cycles.sync.astype(np.int64) - int(cycles.sync[0]) for cycles in (one, two))
     _, at, there = np.intersect1d(first, second, return_indices=True)
-    if len(at) < _COMMON * len(one.sync):
+    if len(at) < limits.COMMON.value * len(one.sync):
         return False
     # a log rounds torques
     apart = np.abs(one.tau[at] - two.tau[there])

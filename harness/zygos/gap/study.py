@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.equations import from_parameters, parameters
@@ -34,19 +35,6 @@ from zygos.gap.twin import Twin, draws, follow
 from zygos.model.model import Model
 
 Array = NDArray[np.float64]
-
-DRAWS = 20
-"""Readings of a twin: enough to know a deviation to 16 %."""
-LARGE = 3.0
-"""Deviations of what the arm file knows of a sensor beyond which its error is taken off the records."""
-_LOOSE, _TRIED, _WORTH = 4, 8, 0.5
-"""Errors of sensors that are freed at the most, those that are tried at a time, and the share of what a fit pays for
-all of them that may be left by one that is freed."""
-_STEPS, _CLOSE = 8, 1e-3
-"""Steps by which the size of an error of a sensor is found at the most, and the share by which the last one changes
-it."""
-FEW = 4
-"""Draws that are enough to weight the balances of a study that is made again, and to rank columns."""
 
 
 @dataclass(frozen=True)
@@ -280,22 +268,25 @@ def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: Driv
     is then made again with what was learned. Errors: Undecided where the runs do not tell the parameters apart."""
     accepted = tuple(followed(record.arm, record.readings()) for record in records)
     applied = np.zeros((len(records), len(hypothesis.layout.zeros)))
-    first = _study(tuple(records), accepted, hypothesis, dynamics, FEW, applied)
-    return again(again(first, hypothesis, FEW) if _off(first).any() else first, hypothesis)
+    first = _study(tuple(records), accepted, hypothesis, dynamics, limits.FEW_DRAWS.value, applied)
+    return again(again(first, hypothesis, limits.FEW_DRAWS.value) if _off(first).any() else first, hypothesis)
 
 
-def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
+def again(study: Study, hypothesis: Hypothesis, count: int = limits.DRAWS.value) -> Study:
     """The same runs under another hypothesis: its fit, and a twin of its own with `count` draws.
 
     Errors of sensors far beyond what is known of them are taken off the records, because their columns are those of
     small errors. Those that the hypothesis has are found step by step: the column of a large one depends on its size.
     """
-    for _ in range(_STEPS):
+    for _ in range(limits.ERROR_STEPS.value):
         first = study.of(hypothesis)
         sensors = sensor_effects(hypothesis, first.value)
-        if all(abs(now.value - was.value) < _CLOSE * abs(now.value) for now, was in _pairs(sensors, study.sensors)):
+        if all(
+            abs(now.value - was.value) < limits.ERROR_CLOSE.value * abs(now.value)
+            for now, was in _pairs(sensors, study.sensors)
+        ):
             break
-        study = _again(study, hypothesis, FEW)
+        study = _again(study, hypothesis, limits.FEW_DRAWS.value)
     return _again(study, hypothesis, count)
 
 
@@ -320,7 +311,7 @@ def _again(study: Study, hypothesis: Hypothesis, count: int) -> Study:
     return _study(records, study.accepted, hypothesis, model, count, off, first.value, misread)
 
 
-def laid_out(study: Study, layout: Layout, count: int = DRAWS) -> Study:
+def laid_out(study: Study, layout: Layout, count: int = limits.DRAWS.value) -> Study:
     """The same runs, hypothesis and twins with other columns to search among, and `count` draws."""
     hypothesis = replace(study.hypothesis, layout=layout)
     return _fitted(
@@ -347,7 +338,9 @@ def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Stud
         twins.append(replace(study.twins[k], exact=read))
     accepted = tuple(study.accepted[k][arcs[k]] for k in kept)
     applied = study.applied[kept]
-    return _fitted(tuple(records), accepted, hypothesis, study.model, tuple(twins), study.sensors, FEW, applied)
+    return _fitted(
+        tuple(records), accepted, hypothesis, study.model, tuple(twins), study.sensors, limits.FEW_DRAWS.value, applied
+    )
 
 
 def zeroed(study: Study) -> Study:
@@ -355,13 +348,13 @@ def zeroed(study: Study) -> Study:
 
     What the arm file says of the sensors spreads a large error of one of them over several.
     """
-    for _ in range(_LOOSE):
+    for _ in range(limits.MOST_FREED.value):
         loose = np.array([name in study.layout.loose for name in study.layout.zeros])
         pulls = np.where(study.layout.of_torque | loose, 0.0, np.abs(study.pulls).max(axis=0))
         paid = _paid(study, study.fit)
         tried: list[tuple[float, Hypothesis]] = []
-        for k in np.argsort(-pulls)[:_TRIED]:
-            if pulls[k] <= LARGE:
+        for k in np.argsort(-pulls)[: limits.FREED_AT_A_TIME.value]:
+            if pulls[k] <= limits.LARGE_ERROR_Z.value:
                 continue
             layout = replace(study.layout, loose=(*study.layout.loose, study.layout.zeros[k]))
             freed = replace(study.hypothesis, layout=layout)
@@ -369,7 +362,7 @@ def zeroed(study: Study) -> Study:
         if not tried:
             break
         least, hypothesis = min(tried, key=lambda one: one[0])
-        if least > _WORTH * paid:
+        if least > limits.FREED_LEAVES.value * paid:
             break
         study = again(study, hypothesis)
     return study
@@ -384,7 +377,7 @@ def _paid(study: Study, found: Fit) -> float:
 
 def _off(study: Study) -> NDArray[np.bool_]:
     """(runs, zeros) which errors of encoders and gyro are large; balances are linear in those of torques."""
-    return np.asarray((np.abs(study.pulls) > LARGE) & ~study.layout.of_torque)
+    return np.asarray((np.abs(study.pulls) > limits.LARGE_ERROR_Z.value) & ~study.layout.of_torque)
 
 
 def _possible(hypothesis: Hypothesis, value: Array, known: Drives) -> Drives:
@@ -393,7 +386,7 @@ def _possible(hypothesis: Hypothesis, value: Array, known: Drives) -> Drives:
     arm = layout.arm
     base, effects = split(hypothesis, value)
     kept = [effect for effect in effects if not (effect.kind.positive and effect.value < 0.0)]
-    late = 0.99 * arm.period_s
+    late = limits.LATEST.value * arm.period_s
     kept = [replace(e, value=min(e.value, late)) if e.kind.key == "torque_lag" else e for e in kept]
     rigid = np.isinf(base)
     share = 1.0

@@ -14,15 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.balances.state import State
 from zygos.gap.balances import BalanceRows, balance_rows, kept_rows
 from zygos.gap.record import MeasuredRun, followed, smoothed_states
 from zygos.gap.study import Study, base_values
 
 Array = NDArray[np.float64]
-
-WINDOW_S = 0.1
-"""Over which a torque is taken at a flexible joint; at a rigid one it is an increment of the arm file."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def _torques(
     rows = table.balances[study.layout.balances.index(name)]
     whole = kept_rows(rows, kept)
     if rows.begin is None:
-        window = max(2, round(WINDOW_S / arm.period_s))
+        window = max(2, round(limits.SLOPE_WINDOW_S.value / arm.period_s))
         begin, end = np.arange(0, len(rows.end) - window, window), np.arange(window, len(rows.end), window)
         ratio, good = 1.0, whole[:, begin] & whole[:, end]
     else:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, toeplitz
 from scipy.ndimage import correlate1d
 
+from zygos import limits
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.gap.balances import Layout, balance_rows
 from zygos.gap.record import MeasuredRun, followed
@@ -23,19 +24,8 @@ from zygos.runs.smoother import coefficients
 
 Array = NDArray[np.float64]
 
-_ORDER = 3
-"""Differences that leave nothing of a motion but what changes from cycle to cycle."""
-_LAGS = 4
-"""Readings that a servo answers to: the newest and those before."""
 _ROUNDING = TORQUE_STEP / np.sqrt(12.0)
 """Standard deviation of the rounding on the bus, Nm."""
-_STEPS = 3.0
-"""Noise below so many deviations of the rounding on the bus is none."""
-_FEWEST = 200
-_SURE = 2.0
-"""Deviations beyond what a motor balance shows of the noise from which on more is ruled out."""
-_MEDIAN = 0.37
-"""Efficiency of the squared median of absolute values as an estimate of a variance."""
 
 
 def with_torque_noise(arm: Arm, records: Sequence[MeasuredRun]) -> tuple[Arm, Arm]:
@@ -49,11 +39,11 @@ def with_torque_noise(arm: Arm, records: Sequence[MeasuredRun]) -> tuple[Arm, Ar
         variance, deviation = _acting(arm, i, left)
         # the least of several estimates is too small rather than too large
         least = float(np.sqrt(variance + deviation)) if variance > deviation else 0.0
-        likely[i] = min(sigma[i], least) if least > _STEPS * _ROUNDING else 0.0
-        most[i] = min(sigma[i], float(np.sqrt(max(variance, 0.0) + _SURE * deviation)))
+        likely[i] = min(sigma[i], least) if least > limits.ROUNDING_Z.value * _ROUNDING else 0.0
+        most[i] = min(sigma[i], float(np.sqrt(max(variance, 0.0) + limits.NOISE_Z.value * deviation)))
     if likely.any() or declared.any():
         # the torque sensors of an arm are of a kind: where one has noise, another has what is not ruled out
-        likely = np.where((likely > 0.0) | (most <= _STEPS * _ROUNDING), likely, most)
+        likely = np.where((likely > 0.0) | (most <= limits.ROUNDING_Z.value * _ROUNDING), likely, most)
     return _with_sigmas(arm, likely), _with_sigmas(arm, most)
 
 
@@ -108,7 +98,9 @@ def _motors(arm: Arm, records: Sequence[MeasuredRun], joints: Sequence[int]) -> 
             flat = z.reshape(-1, z.shape[-1])
             flat = flat[np.isfinite(flat).all(axis=1)]
             scale = np.maximum(np.linalg.norm(flat, axis=0)[:-1], 1e-300)
-            value = np.linalg.lstsq(flat[:, :-1] / scale, flat[:, -1], rcond=1e-9)[0] / scale
+            value = (
+                np.linalg.lstsq(flat[:, :-1] / scale, flat[:, -1], rcond=limits.RCOND_OF_CONTROLLER.value)[0] / scale
+            )
             out.append(_Left(z[..., :-1] @ value - z[..., -1], float(value[inertia])))
         yield i, out
 
@@ -130,15 +122,15 @@ def _acting(arm: Arm, joint: int, runs: Sequence[_Left]) -> tuple[float, float]:
     while 3 * lag < min(one.impulse.shape[-1] for one in runs):
         each = (x[:, 2 * lag :] - 2.0 * x[:, lag:-lag] + x[:, : -2 * lag] for x in (one.impulse for one in runs))
         second = np.concatenate([x[np.isfinite(x)] for x in each])
-        if len(second) < _FEWEST:
+        if len(second) < limits.FEWEST_CYCLES.value:
             break
         taps = np.zeros(2 * lag + 1)
         taps[[0, lag, 2 * lag]] = 1.0, -2.0, 1.0
         of_reading = reading * float(np.linalg.norm(np.convolve(taps, rate)))
         of_torque = h * float(np.linalg.norm(np.cumsum(np.convolve(taps, smooth))))
-        square = (float(np.median(np.abs(second))) / 0.6745) ** 2
+        square = (float(np.median(np.abs(second))) / limits.MEDIAN_DEVIATION.value) ** 2
         independent = len(second) / (points if square < 2.0 * of_reading**2 else lag)
-        deviation = square / of_torque**2 * np.sqrt(2.0 / (_MEDIAN * max(independent, 1.0)))
+        deviation = square / of_torque**2 * np.sqrt(2.0 / (limits.MEDIAN_EFFICIENCY.value * max(independent, 1.0)))
         found.append(((square - of_reading**2) / of_torque**2, float(deviation)))
         lag *= 2
     return min(found, key=lambda one: one[0] + one[1], default=(np.inf, np.inf))
@@ -151,19 +143,23 @@ def torque_noise(record: MeasuredRun) -> Array:
     """
     samples, arm = record.samples, record.arm
     out = np.zeros(arm.n)
-    taps = _binomial(_ORDER)
-    correlation = np.correlate(taps, taps, "full")[_ORDER:]
-    rounded = toeplitz(np.pad(correlation, (0, max(0, _LAGS - _ORDER)))[: _LAGS + 1])
+    taps = _binomial(limits.DIFFERENCES.value)
+    correlation = np.correlate(taps, taps, "full")[limits.DIFFERENCES.value :]
+    rounded = toeplitz(
+        np.pad(correlation, (0, max(0, limits.LAGS.value - limits.DIFFERENCES.value)))[: limits.LAGS.value + 1]
+    )
     for i, joint in enumerate(arm.joints):
         fast, answers = [], []
         for start, stop in samples.segments:
             good = np.flatnonzero(np.isfinite(samples.tau[start:stop, i]))
-            if len(good) < _FEWEST:
+            if len(good) < limits.FEWEST_CYCLES.value:
                 continue
             of = slice(start, start + int(good[-1]) + 1)
-            signals = [np.diff(x[of, i], _ORDER) for x in (samples.q, samples.theta)]
-            fast.append(np.diff(samples.tau[of, i], _ORDER)[_LAGS:])
-            shifted = [x[_LAGS - lag : len(x) - lag] for x in signals for lag in range(_LAGS + 1)]
+            signals = [np.diff(x[of, i], limits.DIFFERENCES.value) for x in (samples.q, samples.theta)]
+            fast.append(np.diff(samples.tau[of, i], limits.DIFFERENCES.value)[limits.LAGS.value :])
+            shifted = [
+                x[limits.LAGS.value - lag : len(x) - lag] for x in signals for lag in range(limits.LAGS.value + 1)
+            ]
             answers.append(np.stack(shifted, axis=1))
         if not fast:
             continue
@@ -175,11 +171,11 @@ def torque_noise(record: MeasuredRun) -> Array:
         if np.linalg.eigvalsh((gram - error) / np.outer(scale, scale))[0] < 1e-6:
             # no reading tells more than the bus rounded away
             error = np.zeros_like(error)
-        gain = np.linalg.lstsq(gram - error, answer.T @ jitter / len(answer), rcond=1e-9)[0]
+        gain = np.linalg.lstsq(gram - error, answer.T @ jitter / len(answer), rcond=limits.RCOND_OF_CONTROLLER.value)[0]
         # a torque that steps would count otherwise
-        left = float(np.median(np.abs(jitter - answer @ gain))) / 0.6745
+        left = float(np.median(np.abs(jitter - answer @ gain))) / limits.MEDIAN_DEVIATION.value
         sigma = np.sqrt(max(0.0, left**2 - gain @ error @ gain) / float(taps @ taps))
-        out[i] = sigma if sigma > _STEPS * _ROUNDING else 0.0
+        out[i] = sigma if sigma > limits.ROUNDING_Z.value * _ROUNDING else 0.0
     return out
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.balances.field import nadir_along
 from zygos.balances.readings import Readings
@@ -28,16 +29,6 @@ from zygos.gap.record import MeasuredRun, smoothed_states
 from zygos.simulation.sensors import draw_noise, torque_error
 
 Array = NDArray[np.float64]
-
-SERVO_RATE = 1.0
-"""Bandwidth of the servo, rad/s: slow against the arm's own modes, fast against the drift of a wrong model."""
-
-
-_HOLDS = 3.0
-"""Bandwidth of the servo in units of the rate at which an arm falls."""
-
-_STREAMS = 1_000_000_000
-"""Seeds of twins begin here: a simulated run with a small seed would have the same noise, some cycles earlier."""
 
 
 @dataclass(frozen=True)
@@ -69,14 +60,14 @@ def follow(dynamics: Drives, records: Sequence[MeasuredRun], sensors: Sequence[E
         torques.append(np.pad(tau, ((0, 0), (0, missing), (0, 0)), mode="edge"))
     path, tau = np.concatenate(paths), np.concatenate(torques)
     # a model whose joints do not bend is far from an arm whose joints do
-    rate = 4.0 * SERVO_RATE if dynamics.rigid.any() else SERVO_RATE
+    rate = limits.SERVO_RIGID.value * limits.SERVO_RATE.value if dynamics.rigid.any() else limits.SERVO_RATE.value
     seen = [record.readings() for record in records]
     begin = Moment(*(np.concatenate([getattr(one, name)[:, 0] for one in seen]) for name in ("time", "turned")))
     kept = [memory[:, 0] for one in seen if (memory := memory_along(dynamics, arm, one)) is not None]
     begin = replace(begin, memory=np.concatenate(kept)) if kept else begin
     faced = [one.nadir[:, 0] for one in seen if one.nadir is not None]
     begin = replace(begin, nadir=np.concatenate(faced)) if faced else begin
-    moved, applied = _servo(dynamics, path, tau, h, min(rate, 0.1 / h), begin)
+    moved, applied = _servo(dynamics, path, tau, h, min(rate, limits.SERVO_OF_SAMPLING.value / h), begin)
     twins, first = [], 0
     for record, own in zip(records, seen, strict=True):
         rows_of = slice(first, first + len(record.starts))
@@ -106,7 +97,13 @@ def retrace(dynamics: Drives, record: MeasuredRun, speed: float, amplitude: floa
     arcs = max(1, len(slow) // record.cycles)
     cycles = min(record.cycles, len(slow))
     cut = slow[: arcs * cycles].reshape(arcs, cycles, -1)
-    moved, applied = _servo(dynamics, cut, np.zeros((arcs, cycles + 1, arm.n)), h, min(4.0 * SERVO_RATE, 0.1 / h))
+    moved, applied = _servo(
+        dynamics,
+        cut,
+        np.zeros((arcs, cycles + 1, arm.n)),
+        h,
+        min(limits.SERVO_RIGID.value * limits.SERVO_RATE.value, limits.SERVO_OF_SAMPLING.value / h),
+    )
     twin = _twin(dynamics, arm, moved, applied)
     time = h * np.arange(twin.exact.q.shape[0] * twin.exact.q.shape[1]).reshape(twin.exact.q.shape[:2])
     rate = np.zeros(time.shape) if arm.spatial or not arm.free else twin.exact.omega0
@@ -142,7 +139,7 @@ def _servo(
         base = dynamics.base_rate(states.q, dynamics.held_momentum, states.qd, states.thetad)
         states = replace(states, base=base)
     start = states.packed()
-    postures = reference.q[:, ::97]
+    postures = reference.q[:, :: limits.POSTURES_EVERY.value]
     # what a motor has to move: its rotor, or at a rigid joint and against gravity the link as well
     link = 1.0 / np.diagonal(dynamics.mobility(postures), axis1=-2, axis2=-1).reshape(-1, joints).max(axis=0)
     link /= dynamics.gear_ratio
@@ -151,7 +148,7 @@ def _servo(
     falls = _falling(dynamics, postures)
     if falls > 0.0:
         moved = np.where(dynamics.rigid, link, rotor + link)
-        rate = min(max(rate, _HOLDS * falls), 0.1 / h)
+        rate = min(max(rate, limits.SERVO_HOLDS.value * falls), limits.SERVO_OF_SAMPLING.value / h)
 
     def torque(k: int, now: State) -> Array:
         behind, slower = reference.theta[:, k] - now.theta, reference.thetad[:, k] - now.thetad
@@ -170,7 +167,7 @@ def _servo(
 
 def _falling(dynamics: Drives, q: Array) -> float:
     """Rate at which the arm falls away from the postures q (..., N) at the most, 1/s; 0 where nothing falls."""
-    n, step = dynamics.n, 1e-3
+    n, step = dynamics.n, limits.FALL_STEP.value
     shifts = step * np.eye(n)
     rise = np.stack([dynamics.gravity_energy(q + e) - dynamics.gravity_energy(q - e) for e in shifts], axis=-1)
     if not rise.any():
@@ -191,7 +188,7 @@ def measure(twin: Twin, seed: int) -> Readings:
     for this seed."""
     arm, exact = twin.arm.over_the_wire, twin.exact
     arcs, cycles, _ = exact.q.shape
-    noise = draw_noise(arm, arcs * cycles, [_STREAMS + seed])
+    noise = draw_noise(arm, arcs * cycles, [limits.TWIN_SEEDS.value + seed])
 
     def shaped(x: Array) -> Array:
         return np.asarray(x[0].reshape(arcs, cycles, -1), dtype=np.float64)

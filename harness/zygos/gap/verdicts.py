@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from zygos import limits
 from zygos.gap.adopted import Check
 from zygos.gap.changes import Change
 from zygos.gap.findings import Disagreement, Finding, Value
@@ -214,6 +215,32 @@ Verdict = (
     | PlainEstimate
     | NotAdmissible
 )
+
+_CLOSES = (limits.CLOSED_BALANCE, limits.CLOSED)
+_NAMES = (limits.NAMED_Z, limits.FALSE_ALARMS, limits.COMPLETE, limits.MATERIAL, *_CLOSES)
+_DECIDED: dict[type[Verdict], tuple[limits.Limit[float], ...]] = {
+    NothingMissing: _CLOSES,
+    ValuesDiffer: (limits.DIFFERS_Z, limits.MATERIAL_DIFFERENCE, *_CLOSES),
+    Lacking: _NAMES,
+    PartNamed: _NAMES,
+    Changed: (limits.CHANGE_Z, limits.CHANGE_TAKES),
+    Inseparable: (limits.STANDS_IN, *_NAMES),
+    SkewedEncoders: (limits.DEFLECTED_Z, limits.SKEWED),
+    LateTorques: (limits.LATE, limits.LATE_EXPLAINS, limits.LATE_ALIKE),
+    WrongGravity: (limits.GRAVITY_OFF, limits.GRAVITY_EXPLAINS),
+    DeclaredTooNoisy: (limits.CLOSED_BALANCE,),
+    RunsDisagree: (limits.DISAGREE_Z,),
+    Unexplained: (limits.PARTLY, *_NAMES),
+    NotPredicted: (limits.CHANGE_LEAVES, limits.CLEARLY),
+    Unpredicted: (limits.CLOSED, limits.CLOSED_TORQUES),
+    PlainEstimate: (limits.NOT_WORSE, limits.PLAIN_LEAVES, limits.EVALUATED, *_CLOSES),
+    NotAdmissible: (limits.NOT_WORSE, *_CLOSES),
+}
+
+
+def decided_by(verdict: Verdict) -> tuple[limits.Limit[float], ...]:
+    """The limits that a verdict rests on."""
+    return _DECIDED[type(verdict)]
 
 
 def partly(verdict: Verdict) -> tuple[Finding, ...]:

@@ -9,18 +9,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.gap.balances import Layout
 from zygos.gap.findings import Deflection, Finding
 from zygos.gap.record import MeasuredRun
-from zygos.gap.search import EXCESS
 
 Array = NDArray[np.float64]
 Side = Literal["motors", "joints", "base", "link"]
 """Motor side of joints, flexibility of joints, base and gyro and assumed momentum, link side."""
-
-_ALIKE = 1.0 / 3.0
-"""Share of the worst balance's ratio from which on another balance fails about as much."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +71,12 @@ def whereabouts(
     """
     worst = np.nanmax(np.where(np.isnan(local), 0.0, local), axis=0)
     every = [Failing(name, rho) for name, rho in zip(layout.balances, worst.tolist(), strict=True)]
-    failing = tuple(one for one in every if one.rho**2 - 1.0 > EXCESS)
+    failing = tuple(one for one in every if one.rho**2 - 1.0 > limits.EXCESS.value)
     look: tuple[Side, ...] = ()
     motors: tuple[str, ...] = ()
     if (flexible or failing) and not findings and not first:
         most = max((one.rho for one in failing), default=0.0)
-        plain = [one for one in failing if one.rho >= _ALIKE * most]
+        plain = [one for one in failing if one.rho >= limits.FAILS_ALIKE.value * most]
         motors = tuple(arm.joints[one.joint].name for one in plain if one.joint is not None)
         look = _sides([one.balance for one in plain], [one.balance for one in failing], bent=bool(flexible))
     return Whereabouts(tuple(flexible), failing, look, motors, tuple(findings))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm, Smoother
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
@@ -28,21 +29,11 @@ Floats = NDArray[np.float64]
 
 SPANS_S = (0.1, 0.2, 0.3, 0.5)
 """Lengths of increments from which one is chosen, s: the shortest at which the angles' noise is small."""
-NOISE_SHARE = 0.3
-"""Share of the squared residuals that the declared noise of the angles may cause at the chosen length."""
 DEFAULT_FRICTION = ("motor_coulomb", "motor_viscous")
 """Effects at every joint that are estimated unless others are asked for."""
-CLUSTER_LIMIT = 4.0
-"""Largest mean square of a block's summed residuals, in units of that of independent ones, that passes as noise."""
-EXCESS_LIMIT = 2.0
-"""Largest residual, in units of the noise of torques and angles, that passes as noise."""
 _GRAVITY = 9.81
 """m/s^2."""
-CUTOFF_MOVES = 2.0
-"""Half widths by which another cut-off may move a value; on simulated rigid arms the largest of all values moves by up
-to 1.3."""
 _LOAD_ROUNDS = 3
-_DOUBTFUL_SHARE = 0.5
 _TOTAL_BLOCKS = 40
 
 
@@ -104,7 +95,7 @@ class GroundEstimate:
         and count as determined where the motion shows them.
         """
         own = np.arange(len(self.names)) < len(self.arm.parameter_names)
-        narrow = self._half(0.95) <= sizes(self.names, self.units, self.solution.value)
+        narrow = self._half(limits.CONFIDENCE.value) <= sizes(self.names, self.units, self.solution.value)
         return np.asarray(self.solution.seen & (narrow | ~own), dtype=np.bool_)
 
     @property
@@ -123,7 +114,7 @@ class GroundEstimate:
         sigma = self.solution.sigma
         if len(self.without_run) > 2:
             sigma = np.maximum(sigma, self.spread)
-        if self.excess.max() > EXCESS_LIMIT:
+        if self.excess.max() > limits.EXCESS_OF_NOISE.value:
             moved = np.nan_to_num(np.abs(self.smoothing - self.solution.value)).max(axis=0)
             sigma = np.hypot(sigma, 0.5 * moved)
         return np.asarray(sigma, dtype=np.float64)
@@ -139,7 +130,7 @@ class GroundEstimate:
     @property
     def half95(self) -> Floats:
         """(p,) half widths of the 95 % intervals; NaN as `value`."""
-        return np.where(np.isfinite(self.value), self._half(0.95), np.nan)
+        return np.where(np.isfinite(self.value), self._half(limits.CONFIDENCE.value), np.nan)
 
     @property
     def spread(self) -> Floats:
@@ -202,7 +193,7 @@ class GroundEstimate:
                 f"not physical: {negative}",
                 "check the arm file with `zygos check-arm`, or estimate another law with --friction",
             )
-        if rms(share) > _DOUBTFUL_SHARE:
+        if rms(share) > limits.DOUBTFUL.value:
             return (
                 "doubtful",
                 f"{100 * share[worst]:.0f} % of the held-out torque at {joints[worst].name} are not predicted",
@@ -215,17 +206,17 @@ class GroundEstimate:
             texts.append(f"the motion does not determine {len(unsure)} of {len(self.names)} parameters ({listed})")
             remedies.append("a motion that excites them (`zygos plan`)")
         loud, far = int(np.argmax(self.solution.cluster)), int(np.argmax(self.excess))
-        if self.excess[far] > EXCESS_LIMIT:
+        if self.excess[far] > limits.EXCESS_OF_NOISE.value:
             texts.append(
                 f"what is left is not noise: {100 * share[far]:.1f} % of the torque at {joints[far].name}, "
                 f"{self.excess[far]:.1f} times the noise of its readings"
             )
-        elif self.solution.cluster[loud] > CLUSTER_LIMIT:
+        elif self.solution.cluster[loud] > limits.CLUSTER.value:
             texts.append(
                 f"what is left is not noise: at {joints[loud].name} squared sums of residuals are "
                 f"{self.solution.cluster[loud]:.0f} times those of noise ({100 * share[loud]:.1f} % of the torque)"
             )
-        if self.excess[far] > EXCESS_LIMIT or self.solution.cluster[loud] > CLUSTER_LIMIT:
+        if self.excess[far] > limits.EXCESS_OF_NOISE.value or self.solution.cluster[loud] > limits.CLUSTER.value:
             remedies.append(
                 "another law of friction (--friction), or the lengths of the arm file; the intervals "
                 "contain what is left, if runs are alike"
@@ -242,7 +233,12 @@ class GroundEstimate:
             *(effect.kind.positive for effect in self.effects),
         ]
         for name, value, half, must, good in zip(
-            self.names, self.solution.value, self._half(0.997), positive, self.determined, strict=True
+            self.names,
+            self.solution.value,
+            self._half(limits.SURE_CONFIDENCE.value),
+            positive,
+            self.determined,
+            strict=True,
         ):
             if must and good and value < -half:
                 return f"{name} is {value:.3g}, negative beyond its interval of {half:.2g}"
@@ -258,9 +254,9 @@ class GroundEstimate:
                 f"{self.arm.joints[0].name}"
             )
         with np.errstate(invalid="ignore", divide="ignore"):
-            moved = np.abs(self.smoothing - self.solution.value) / self.solution.half(0.95)
+            moved = np.abs(self.smoothing - self.solution.value) / self.solution.half(limits.CONFIDENCE.value)
         moved = np.where(self.determined, moved, np.nan)
-        if np.isfinite(moved).any() and np.nanmax(moved) > CUTOFF_MOVES:
+        if np.isfinite(moved).any() and np.nanmax(moved) > limits.CUTOFF_MOVES.value:
             worst = int(np.unravel_index(np.nanargmax(moved), moved.shape)[1])
             said.append(
                 f"the values depend on the smoother's cut-off of {cutoff_hz(self.arm):.1f} Hz: between 0.7 and 1.4 "
@@ -422,7 +418,7 @@ def estimate_ground(
         doubtful=doubtful,
         prior=model,
     )
-    if found.excess.max() > EXCESS_LIMIT:
+    if found.excess.max() > limits.EXCESS_OF_NOISE.value:
         found = replace(found, elsewhere=_gravity_elsewhere(arm, runs, wanted, span, rms(solution.share)))
     if validate and found.validity != "refused":
         whole = replace(found, doubtful=True).to_model()
@@ -474,7 +470,7 @@ def at_best_span(arm: Arm, motions: Sequence[Motion], effects: Sequence[Effect])
     spans = (arm.joint_increment_s,) if arm.joint_increment_s else SPANS_S
     for last, span in enumerate(spans, 1):
         sums, solution, rows = _solved(motions, span, effects)
-        if last == len(spans) or _noise_share(sums, solution) <= NOISE_SHARE:
+        if last == len(spans) or _noise_share(sums, solution) <= limits.ANGLE_NOISE.value:
             break
     return rows[0].span_s, sums, solution
 
@@ -528,7 +524,7 @@ def _with_other_cutoffs(
     """(2, p) the values with windows of the smoother that are longer and shorter."""
     out = []
     own = motions[0].arm.smoother
-    for factor in (1.0 / 0.7, 1.0 / 1.4):
+    for factor in (1.0 / factor for factor in limits.OTHER_CUTOFFS.value):
         half = max(own.order // 2 + 1, round(factor * (own.points // 2)))
         other = replace(arm, smoother=Smoother(2 * half + 1, own.order, half))
         try:

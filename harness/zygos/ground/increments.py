@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.balances.energy import energy_rows
 from zygos.balances.impulse import impulse_rows
@@ -28,8 +29,6 @@ Floats = NDArray[np.float64]
 
 SPANS_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 """Lengths of increments, s: the shortest is taken at which the sensors' noise is small."""
-NOISE_SHARE = 0.1
-"""Largest noise of the mean torques as share of their root mean square."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def increments(run: Run, values: Floats, effects: Sequence[Effect], window_s: fl
     for span in SPANS_S:
         longer = _over(span, run, samples, smoothed, values, acting, window_s)
         found = longer or found
-        if found and np.all(found.noise <= NOISE_SHARE * np.sqrt(np.mean(found.measured**2, axis=0))):
+        if found and np.all(found.noise <= limits.TORQUE_NOISE.value * np.sqrt(np.mean(found.measured**2, axis=0))):
             break
     if found is None:
         raise ZygosError(f"{run.path or 'the run'}: no unbroken piece of {SPANS_S[0]:g} s; remedy: a longer run")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import TORQUE_STEP, Arm, Smoother
 from zygos.balances.joint import JointColumns, in_order, joint_columns
 from zygos.balances.state import State
@@ -20,8 +21,6 @@ from zygos.runs.smoother import Smoothed, smooth
 
 Floats = NDArray[np.float64]
 
-HIGHEST_CUTOFF_HZ = 10.0
-"""Cut-off above which torques are not compared: accelerations from encoders are noise there."""
 _ORDER = 4
 _TWICE = float((np.sqrt(2.0) - 1.0) ** (-1.0 / (2 * _ORDER)))
 """Cut-off of a filter that is applied twice, in units of that of both together."""
@@ -40,7 +39,7 @@ def _smoothed_widely(arm: Arm) -> Arm:
 
 
 def _is_low(half_width: int, period_s: float) -> bool:
-    return rate_cutoff(half_width, 4) <= HIGHEST_CUTOFF_HZ * period_s
+    return rate_cutoff(half_width, 4) <= limits.HIGHEST_CUTOFF_HZ.value * period_s
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm, Parameter
 from zygos.can.run import Run
 from zygos.errors import Undecided, ZygosError
@@ -23,9 +24,6 @@ from zygos.quantiles import student_isf
 from zygos.structure import STANDARD, independent
 
 Floats = NDArray[np.float64]
-
-SURE = 3.0
-"""Deviations beyond which a mass is a payload."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,7 +68,7 @@ class Payload:
     @property
     def half95(self) -> Floats:
         """(r,) half widths of the 95 % intervals."""
-        return self.solution.half(0.95)
+        return self.solution.half(limits.CONFIDENCE.value)
 
     @property
     def found(self) -> bool:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.balances.joint import JointRows, joint_rows, momentum_of_rates
 from zygos.balances.momentum import variances
@@ -22,13 +23,6 @@ Floats = NDArray[np.float64]
 _WITHIN = 16
 """Number of parts of half a period in which friction is evaluated."""
 _SIGNED = ("motor_coulomb", "link_coulomb", "load_friction")
-_SLOW_SIGMAS = 4.0
-"""Rate, in standard deviations of its noise, below which its sign is not known."""
-_LINGERING = 0.3
-"""Share of an increment at such rates from which on its row is left out."""
-_CREEP, _CREEPING_S = 0.02, 0.2
-"""Rate, as a share of the joint's root mean square, at which a joint creeps that stays below it for so long, s. No law
-of friction is certain there, and the phases before and after a stop are far longer than a reversal."""
 _NOISE_SAMPLES = 6
 """Increments of a block at which the expected products of noise are computed."""
 
@@ -136,24 +130,24 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
 def _lingers(arm: Arm, motion: Motion, state: State, rows: JointRows, effects: Sequence[Effect]) -> NDArray[np.bool_]:
     share = np.maximum(resting_share(arm, state, rows), _share(rows, _creeps(arm, motion, state)))
     signed = {effect.index(arm) for effect in effects if effect.kind.key in _SIGNED}
-    return np.asarray((share > _LINGERING) & [j in signed for j in range(arm.n)], dtype=np.bool_)
+    return np.asarray((share > limits.LINGERING.value) & [j in signed for j in range(arm.n)], dtype=np.bool_)
 
 
 def _creeps(arm: Arm, motion: Motion, state: State) -> NDArray[np.bool_]:
     """(n, N) whether a joint creeps."""
-    slow = np.abs(state.qd) < _CREEP * np.sqrt(np.mean(state.qd**2, axis=0))
+    slow = np.abs(state.qd) < limits.CREEP.value * np.sqrt(np.mean(state.qd**2, axis=0))
     breaks = np.diff(motion.smoothed.segment, prepend=-1) != 0
     for j in range(arm.n):
         edges = np.flatnonzero(breaks | (np.diff(slow[:, j], prepend=False) != 0))
         for part in np.split(np.arange(len(slow)), edges):
-            if len(part) * arm.period_s < _CREEPING_S:
+            if len(part) * arm.period_s < limits.CREEPING_S.value:
                 slow[part, j] = False
     return np.asarray(slow, dtype=np.bool_)
 
 
 def resting_share(arm: Arm, state: State, rows: JointRows) -> Floats:
     """(m, N) share of each increment in which the rate of a joint does not show its sign."""
-    slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
+    slow = np.maximum(limits.SLOW_Z.value * np.sqrt(variances(arm).link), SLOWEST_RATE)
     return _share(rows, np.abs(state.qd) < slow)
 
 

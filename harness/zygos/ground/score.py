@@ -9,22 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.ground.increments import increments
-from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, both_ways, cutoff_hz, torque_noise, torque_rows
+from zygos.ground.motion import Motion, TorqueRows, both_ways, cutoff_hz, torque_noise, torque_rows
 from zygos.ground.rows import torque_columns
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
-
-WINDOW_S = 1.0
-"""Time over which energies are compared, s."""
-EVALUATED = 5.0
-"""Torque of a joint over its floor from which on its prediction is evaluated: below, its error says little of a
-model."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +55,7 @@ class JointScore:
     @property
     def evaluated(self) -> bool:
         """Whether the torque is large enough to say something of a model."""
-        return not self.measured_nm < EVALUATED * self.floor_nm
+        return not self.measured_nm < limits.EVALUATED.value * self.floor_nm
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,7 +129,7 @@ def score(run: Run, model: Model, *, cutoff: float | None = None) -> Score:
             )
         return _by_increments(run, model)
     motion = Motion.of(run)
-    wanted = min(cutoff_hz(arm), HIGHEST_CUTOFF_HZ) if cutoff is None else cutoff
+    wanted = min(cutoff_hz(arm), limits.HIGHEST_CUTOFF_HZ.value) if cutoff is None else cutoff
     if not 0.0 < wanted < 0.5 / arm.period_s:
         raise ZygosError(
             f"a cut-off of {wanted:g} Hz is not below half the rate of the cycles, {0.5 / arm.period_s:g} Hz; remedy: "
@@ -165,7 +160,7 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
     noise = torque_noise(motion) * arm.gear_ratios
     through = _noise_gain(rows)
     raw = _unfiltered(arm, motion, rows)
-    window = max(2, round(WINDOW_S / h))
+    window = max(2, round(limits.WORK_WINDOW_S.value / h))
     scores = []
     for j, joint in enumerate(arm.joints):
         left, own = (error - offset)[kept, j], (rows.tau - offset)[kept, j]
@@ -203,9 +198,9 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
 def _by_increments(run: Run, model: Model) -> Score:
     """The score of an arm that floats or has flexible joints."""
     arm = run.arm
-    own = increments(run, model.base_values(arm), model.effects, WINDOW_S)
+    own = increments(run, model.base_values(arm), model.effects, limits.WORK_WINDOW_S.value)
     offset = (own.measured - own.predicted).mean(axis=0)
-    window = max(1, round(2.0 * WINDOW_S / own.span_s))
+    window = max(1, round(2.0 * limits.WORK_WINDOW_S.value / own.span_s))
     scores = []
     for j, joint in enumerate(arm.joints):
         measured = own.measured[:, j] - offset[j]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.errors import Undecided
 from zygos.ground.sums import Sums
 from zygos.quantiles import student_factor
@@ -15,8 +16,6 @@ from zygos.quantiles import student_factor
 Floats = NDArray[np.float64]
 
 _ROUNDS = 8
-_RANK = 1e-10
-"""Smallest pivot, of columns scaled to unit length, with which a combination of columns counts as seen."""
 
 
 @dataclass(frozen=True)
@@ -192,6 +191,6 @@ def _independent(matrix: Floats) -> NDArray[np.bool_]:
     present = diagonal > 0.0
     scale = np.where(present, 1.0 / np.sqrt(np.where(present, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(matrix * scale * scale[:, None])
-    open_ones = vectors[:, values < _RANK]
+    open_ones = vectors[:, values < limits.RANK.value]
     touched = np.sum(open_ones**2, axis=1) > 1e-6
     return np.asarray(present & ~touched, dtype=np.bool_)

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.balances.joint import in_order, joint_columns
 from zygos.balances.state import State
 from zygos.effects import Effect
-from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_noise, torque_rows
+from zygos.ground.motion import Motion, TorqueRows, cutoff_hz, torque_noise, torque_rows
 from zygos.ground.rows import RunRows, resting_share, run_rows, torque_columns
 from zygos.ground.score import Score, scored
 from zygos.runs.samples import Samples
@@ -78,7 +79,7 @@ def increments_floor(measured: RunRows, values: Floats, effects: Sequence[Effect
 def twin_of(motion: Motion, values: Floats, effects: Sequence[Effect], seed: int = 0) -> Motion:
     """The motion that the twin's sensors read. Errors: ZygosError for a run that is too short for the filter."""
     arm = motion.arm
-    rows = torque_rows(arm, motion.samples, min(cutoff_hz(arm), HIGHEST_CUTOFF_HZ))
+    rows = torque_rows(arm, motion.samples, min(cutoff_hz(arm), limits.HIGHEST_CUTOFF_HZ.value))
     samples = _samples(motion, rows, values, acting_of(effects), seed)
     return Motion(motion.run, samples, replace(smooth(arm, samples), accepted=motion.smoothed.accepted))
 

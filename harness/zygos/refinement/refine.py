@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.can.run import Run, joined
 from zygos.effects import Effect
@@ -33,7 +34,7 @@ from zygos.refinement.follow import Pass, triangle_of
 from zygos.refinement.motion import FlexibleMotion
 from zygos.refinement.record import Record, record_of
 from zygos.refinement.rivals import Rival, rivals, typical_torque
-from zygos.refinement.search import REMEDY, STEPS, Found, Search
+from zygos.refinement.search import REMEDY, Found, Search
 from zygos.refinement.start import LEARNED, begin
 
 Floats = NDArray[np.float64]
@@ -41,20 +42,8 @@ Progress = Callable[[float], None]
 
 _WINDOWS = 12
 """Windows in which the innovations are counted apart."""
-SIGMAS = 3.0
-"""Standard errors that a rule allows."""
-FALSE_ALARM = 1e-3
-"""Probability with which the distance of normally distributed estimates fails, and that with which innovations do."""
-RIVAL_SIGMAS = 4.0
-"""Standard deviations by which the readings may favour a model with one thing more: one of many that are tried."""
-_BIAS = 0.002
-"""Share of the sizes by which the estimate from energy rows may be off beside its intervals, which do not know noise in
-proportion to the torques."""
 UNNEEDED = ("angular_momentum",)
 """Effects that stay as they are: the rates of the base are followed, whatever momentum they have."""
-_EXCESS = 0.1
-"""By which the mean square of normalised innovations may exceed what chance explains: a solution is linear, and
-encoder steps are not normally distributed."""
 
 
 @dataclass(frozen=True)
@@ -166,8 +155,10 @@ class Refinement:
         counts = readings * self.final.counts
         looks = (_WINDOWS + 1) * int(np.count_nonzero(counts))
         means = np.full(len(counts), np.inf)
-        means[counts > 0.0] = chi_square_isf(FALSE_ALARM / looks, counts[counts > 0.0]) / counts[counts > 0.0]
-        return np.asarray(_EXCESS + means)
+        means[counts > 0.0] = (
+            chi_square_isf(limits.FALSE_ALARMS.value / looks, counts[counts > 0.0]) / counts[counts > 0.0]
+        )
+        return np.asarray(limits.INNOVATION_EXCESS.value + means)
 
     @property
     def times_bound(self) -> Floats | None:
@@ -288,8 +279,8 @@ def _agreement(answer: Refinement) -> Rule:
     known = np.isfinite(value) & np.isfinite(sigma)
     apart = np.abs(np.where(known, value - answer.value, 0.0))
     # all values are looked at, and the farthest one decides
-    sigmas = float(normal_isf(0.5 * FALSE_ALARM / max(1, known.sum())))
-    allowed = sigmas * np.hypot(np.where(known, sigma, 0.0), answer.sigma) + _BIAS * answer.size
+    sigmas = float(normal_isf(0.5 * limits.FALSE_ALARMS.value / max(1, known.sum())))
+    allowed = sigmas * np.hypot(np.where(known, sigma, 0.0), answer.sigma) + limits.ENERGY_BIAS.value * answer.size
     worst = int(np.argmax(apart / allowed))
     ratio = float(apart[worst] / allowed[worst])
     text = (
@@ -333,9 +324,9 @@ def _level(answer: Refinement) -> Rule:
     """Whether the torques are not noisier than declared."""
     typical = typical_torque(answer.record)
     own = np.array([math.hypot(joint.torque_sigma, TORQUE_STEP / math.sqrt(12.0)) for joint in answer.arm.joints])
-    declared = np.array(answer.declared) * math.exp(SIGMAS * answer.level_error)
+    declared = np.array(answer.declared) * math.exp(limits.RULE_Z.value * answer.level_error)
     with np.errstate(divide="ignore", invalid="ignore"):
-        allowed = np.hypot(declared, np.nan_to_num(STEPS * own / typical))
+        allowed = np.hypot(declared, np.nan_to_num(limits.LINEAR_ERROR.value * own / typical))
     found = np.array(answer.level)
     worst = int(np.argmax(found - allowed))
     holds = bool(np.all(found <= allowed))
@@ -370,9 +361,9 @@ def _rival(answer: Refinement) -> Rule:
         "rivals",
         "standard deviations by which the readings favour a model with one thing more",
         sigmas,
-        RIVAL_SIGMAS,
-        sigmas <= RIVAL_SIGMAS,
-        "" if sigmas <= RIVAL_SIGMAS else text,
+        limits.RIVAL_Z.value,
+        sigmas <= limits.RIVAL_Z.value,
+        "" if sigmas <= limits.RIVAL_Z.value else text,
     )
 
 

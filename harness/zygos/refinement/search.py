@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.errors import Undecided, ZygosError
 from zygos.native.propagation import Propagation
@@ -40,11 +41,6 @@ _RATIO = 10.0
 """Between the levels that are tried first."""
 _HALVINGS = 3
 """How often the ratio is halved, in powers, around the best level."""
-_SIMPLER = 9.0
-"""Deviance by which noise in proportion to the torques must be better than none."""
-STEPS = 10.0
-"""Noise of the torques that passes though none in proportion is declared, as a multiple of the constant one: so much
-is taken for noise that is the error of the linear motion."""
 _SHARE = 0.01
 """Unit of a delay, in periods, and of a gain, both of which are tested only."""
 
@@ -178,7 +174,7 @@ class Search:
                     self.tried[level] = self._follow(level)
         best = self._best()
         none = self.tried.get(0.0)
-        if best > 0.0 and (none is None or none.deviance > self.tried[best].deviance + _SIMPLER):
+        if best > 0.0 and (none is None or none.deviance > self.tried[best].deviance + limits.SIMPLER.value):
             return self._between(best, ratio)
         return 0.0, 0.0
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.effects import Effect
 from zygos.errors import Undecided
@@ -24,9 +25,6 @@ LEARNED = ("motor_coulomb", "torque_offset")
 """Effects that are estimated as constants beside the parameters, in the order of `Start.beside`."""
 _ADDED = 0.005
 """What is added to the standard deviations of the energy estimate at the start, in units of the sizes."""
-MOST = 0.01
-"""Largest standard deviation of any combination of parameters before the first reading, in units of the sizes: more
-leads a solution out of the range in which the motion is linear. A start that is farther off takes several passes."""
 _WIDER = 2.0
 """Standard deviations at the start, as a multiple of those of the energy estimate."""
 _ASSUMED = 0.01
@@ -83,7 +81,7 @@ def begin(
     zeros = np.array([one.zero_uncertainty_rad for one in known])
     return (
         Start(value, np.concatenate([beside.ravel(), np.zeros_like(zeros)])),
-        within(scaled, MOST) * np.outer(size, size),
+        within(scaled, limits.START_MOST.value) * np.outer(size, size),
         np.concatenate([sigma.ravel(), zeros]),
     )
 

@@ -11,6 +11,7 @@ from zygos.gap.answer import (
     change_json,
     checks_json,
     finding_json,
+    limits_json,
     remainders_json,
     simulation_json,
     source_json,
@@ -36,6 +37,7 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
         "left": remainders_json(found.verdict),
         "change": change_json(found.verdict),
         "checks": checks_json(found.adopted, found.verdict),
+        "decided_by": limits_json(found.verdict),
         "gap": None if found.gap is None else _gap(found.gap),
         "joints": [
             {

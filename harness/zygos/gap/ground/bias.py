@@ -3,15 +3,13 @@ shows it as well."""
 
 from __future__ import annotations
 
+from zygos import limits
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.fit import fit
 from zygos.gap.ground.predictions import Stage
 from zygos.gap.ground.search import Search, is_gain, without
 from zygos.ground.twin import Twins, acting_of, predicted_load
 from zygos.model.model import Model
-
-_MOST = 0.5
-"""Share of an effect that may be an error which its twin has as well."""
 
 
 def confirmed(simulation: Model, table: Table, found: Search, model: Stage, known: Twins) -> Search:
@@ -33,6 +31,6 @@ def confirmed(simulation: Model, table: Table, found: Search, model: Stage, know
     for name, place in places.items():
         size = float(found.after.x[place])
         acting = size if name.partition("@")[0] in acts else 0.0
-        if abs(float(again.x[layout.at(name)]) - acting) > _MOST * abs(size):
+        if abs(float(again.x[layout.at(name)]) - acting) > limits.BIAS.value * abs(size):
             left_out.append(name)
     return without(table, found, left_out) if left_out else found

@@ -12,23 +12,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.gap.changes import BODIES, CERTAIN, Change
+from zygos import limits
+from zygos.gap.changes import BODIES, Change
 from zygos.gap.ground.columns import Layout, Table
 from zygos.gap.ground.fit import Fit, solve
-from zygos.gap.ground.search import NOISE
 from zygos.quantiles import normal_isf, student_sf
 from zygos.structure import STANDARD, independent
 
 Floats = NDArray[np.float64]
 Group = tuple[str, tuple[str, ...], Floats]
 """What changes, the names of the coefficients, and (W-1, r) their directions."""
-
-TAKES = 0.6
-"""Share of the squared residual beyond noise that a change must take away."""
-_LIKE = 0.9
-"""Share of the best improvement with which fewer coefficients are preferred."""
-_FEWEST = 2
-"""Blocks on either side of a change at least."""
 
 
 def find_change(table: Table, fitted: Fit) -> tuple[Change, Fit] | None:
@@ -44,19 +37,20 @@ def find_change(table: Table, fitted: Fit) -> tuple[Change, Fit] | None:
     after = np.cumsum(weighted[::-1], axis=0)[::-1]
     tried = [
         (*_improvement(total, after[cut], of, prior, group[2]), cut, group)
-        for cut in range(_FEWEST, len(weighted) - _FEWEST + 1)
+        for cut in range(limits.CHANGE_BLOCKS.value, len(weighted) - limits.CHANGE_BLOCKS.value + 1)
         for group in _groups(table.layout, fitted)
     ]
     if not tried:
         return None
     best = max(gain for gain, *_ in tried)
-    fewest = min(len(group[1]) for gain, _, _, group in tried if gain >= _LIKE * best)
+    fewest = min(len(group[1]) for gain, _, _, group in tried if gain >= limits.STANDS_IN.value * best)
     gain, delta, cut, group = max(
-        (one for one in tried if one[0] >= _LIKE * best and len(one[3][1]) == fewest), key=lambda one: one[0]
+        (one for one in tried if one[0] >= limits.STANDS_IN.value * best and len(one[3][1]) == fewest),
+        key=lambda one: one[0],
     )
     share = _share(table, fitted, gain)
     values, z = _certain(weighted, cut, of, prior, group[2], delta)
-    if share < TAKES or z < CERTAIN:
+    if share < limits.CHANGE_TAKES.value or z < limits.CHANGE_Z.value:
         return None
     old = group[2].T @ (fitted.x + np.append(table.layout.start, np.zeros(len(fitted.x) - table.layout.shared)))
     old = old if group[0] != BODIES else np.zeros(len(delta))
@@ -121,7 +115,7 @@ def _improvement(
     right = directions.T @ after[:-1, -1] - stepped[of].T @ slope[:, -1]
     scale = np.sqrt(np.maximum(np.diag(directions.T @ stepped[:-1]), 1e-300))
     scaled = square / scale / scale[:, None]
-    delta = np.linalg.pinv(scaled, hermitian=True, rcond=1e-7) @ (right / scale) / scale
+    delta = np.linalg.pinv(scaled, hermitian=True, rcond=limits.RCOND_OF_BLOCKS.value) @ (right / scale) / scale
     return float(right @ delta), np.asarray(delta, dtype=np.float64)
 
 
@@ -145,7 +139,7 @@ def _certain(
 def _share(table: Table, fitted: Fit, gain: float) -> float:
     """Share of the squared residual beyond noise that an improvement takes away; 0 where noise is all that is left."""
     rows = np.array([table.counts[table.owner == run].sum(axis=0) for run in range(table.layout.runs)])
-    noise = (NOISE * rows * table.floor**2).sum(axis=0)
+    noise = (limits.NOISE.value * rows * table.floor**2).sum(axis=0)
     left = table.counts.sum(axis=0) * fitted.sigma**2
     rest = float((np.maximum(left - noise, 0.0) / fitted.sigma**2).sum())
     return gain / rest if rest > 0.0 else 0.0

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.effects import Effect
 from zygos.gap.ground.candidates import GAIN, Candidate
@@ -17,8 +18,6 @@ from zygos.ground.sums import MOST_BLOCKS, sums_of
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
-
-_TOTAL_BLOCKS = 60
 
 
 @dataclass(frozen=True)
@@ -167,7 +166,7 @@ def table_of(layout: Layout, motions: Sequence[Motion], span_s: float, predicted
     turn = np.eye(layout.shared + 2)
     turn[: layout.shared, -1] = -layout.start
     grams, noises, counts, owners, places, floors = [], [], [], [], [], []
-    most = max(6, min(MOST_BLOCKS, _TOTAL_BLOCKS // len(runs)))
+    most = max(limits.LEAST_BLOCKS.value, min(MOST_BLOCKS, limits.TOTAL_BLOCKS.value // len(runs)))
     for number, rows in enumerate(runs):
         sums = sums_of(rows, most)
         own, own_noise = turn.T @ sums.gram @ turn, turn.T @ sums.noise @ turn

@@ -13,20 +13,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.balances.state import State
 from zygos.gap.ground.columns import Table
 from zygos.gap.ground.fit import Fit
-from zygos.gap.ground.search import AGREE_SHARE, AGREE_Z, LEAST_Z
 from zygos.ground.rows import RunRows, resting_share
 from zygos.quantiles import normal_isf, normal_sf, student_isf, student_sf
 
 Floats = NDArray[np.float64]
-
-LEAST_PART = 0.1
-"""Share of the friction that a difference between the directions must have to be spoken of."""
-_RESTS = 0.99
-PHASES = 3
-"""Phases at rest that must agree."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +54,9 @@ def one_sided(
         value = float(np.sum(weight * each) / np.sum(weight))
         wide = float(1.0 / np.sqrt(np.sum(weight)))
         z = float(normal_isf(max(float(student_sf(abs(value) / wide, freedom)), 1e-300)))
-        limit = student_isf(normal_sf(AGREE_Z), max(2.0, freedom)) * sigma
-        same = np.all(np.abs(each - value) <= np.maximum(limit, AGREE_SHARE * abs(value)))
-        if z < LEAST_Z or not same or not LEAST_PART * coulomb <= abs(value) <= coulomb:
+        limit = student_isf(normal_sf(limits.AGREE_Z.value), max(2.0, freedom)) * sigma
+        same = np.all(np.abs(each - value) <= np.maximum(limit, limits.AGREE_SHARE.value * abs(value)))
+        if z < limits.NAMED_Z.value or not same or not limits.ASYMMETRY.value * coulomb <= abs(value) <= coulomb:
             continue
         # a constant torque of a sensor cannot be larger than friction, if it is to be friction
         yield OneSided(j, value, wide, z, tuple(each.tolist()), _at_rest(table, fitted, j, value))
@@ -71,7 +65,7 @@ def one_sided(
 def _at_rest(table: Table, fitted: Fit, joint: int, value: float) -> Literal["either", "offset", "friction"]:
     """What the phases say in which the joint does not move."""
     means = np.array([mean for rows in table.rows for mean in phases(table, rows, fitted, joint)])
-    if len(means) < PHASES:
+    if len(means) < limits.PHASES.value:
         return "either"
     if np.all(np.abs(means - value) < 0.5 * abs(value)):
         return "offset"
@@ -82,7 +76,7 @@ def phases(table: Table, rows: RunRows, fitted: Fit, joint: int) -> Iterator[flo
     """Constant torque that is left over in each phase at rest, Nm before the gear."""
     motion, layout = rows.motion, table.layout
     state = State.smoothed(motion.arm, motion.smoothed)
-    rests = resting_share(motion.arm, state, rows.rows)[:, joint] > _RESTS
+    rests = resting_share(motion.arm, state, rows.rows)[:, joint] > limits.RESTS.value
     values = layout.start + fitted.x[: layout.shared]
     left = (rows.w[:, joint] - rows.z[:, joint] @ values) / rows.offset[joint]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rests.astype(np.int8), [0]])))

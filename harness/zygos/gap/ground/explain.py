@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.adopted import NOT_WORSE, Adopted, Check, NotAdopted
-from zygos.gap.findings import ASYMMETRY, INTERVAL, Finding, Repeated, Value
+from zygos.gap.adopted import Adopted, Check, NotAdopted
+from zygos.gap.findings import ASYMMETRY, Finding, Repeated, Value
 from zygos.gap.ground.bias import confirmed
 from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
 from zygos.gap.ground.changes import find_change
@@ -24,7 +25,7 @@ from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, fit, jackknife, residual
 from zygos.gap.ground.form import form_sigmas
 from zygos.gap.ground.gravity import missing_gravity
-from zygos.gap.ground.predictions import BETTER, CLOSED, Prediction, Stage, predict, remainders, run_name
+from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, beside_all, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
@@ -56,18 +57,7 @@ from zygos.runs.cycles import Cycles
 
 Floats = NDArray[np.float64]
 
-SURE = 3.0
-"""Standard deviations of a 99.7 % interval, which is what a value must differ by."""
-USUAL_GAIN = 0.05
-"""Gain by which torque sensors of an arm may differ without a word."""
 COULOMB = "motor_coulomb"
-SMALL = 1.5
-"""What increments of the measured runs may leave over, in units of what the model leaves of its own twin, for nothing
-to be missing."""
-_MUCH = 0.8
-"""Share of the squared residual that entries which are searched last may leave of what the usual ones do."""
-_SHORTEST_S = 2.0
-"""Length of a part of a run that was cut, s, at least."""
 
 
 def explain_ground(
@@ -204,7 +194,7 @@ class _Explainer:
                 failed = refused.failed
         try:
             # where nothing is known, it has to be an answer by itself
-            most = NOT_WORSE if failed else BETTER
+            most = limits.NOT_WORSE.value if failed else limits.PLAIN_LEAVES.value
             plain = Adopted(self.arm, self._plain(), () if gap is None else gap.plain_beside_delivered(most))
         except Undecided:
             return None, NotAdmissible(failed, findings) if failed else verdict
@@ -253,7 +243,7 @@ class _Explainer:
             return False
         unit = np.fmin(wider[0].floor, usual[0].floor) ** 2
         after, before = (residual(table, found.after.x) / unit for table, found in (wider, usual))
-        return bool(np.all(after.sum(axis=1) < _MUCH * before.sum(axis=1)))
+        return bool(np.all(after.sum(axis=1) < limits.LATE_LEAVE.value * before.sum(axis=1)))
 
     def _in_nm(self, motions: Sequence[Motion], span: float) -> list[Motion]:
         """The motions with currents turned into torques; the runs as well."""
@@ -276,7 +266,10 @@ class _Explainer:
         for k, one in enumerate(found.named):
             finding = self._finding(found, k, sizes)
             finding = replace(finding, sigma=float(np.hypot(finding.sigma, forms.get(one.name, 0.0))))
-            if not is_gain(one.candidate) or abs(finding.value) > USUAL_GAIN + SURE * finding.sigma:
+            if (
+                not is_gain(one.candidate)
+                or abs(finding.value) > limits.GAIN_OFF.value + limits.DIFFERS_Z.value * finding.sigma
+            ):
                 listed.append(finding)
             else:
                 usual.append(finding)
@@ -372,7 +365,7 @@ class _Explainer:
             return ValuesDiffer(changed) if changed else NothingMissing()
         if gap is not None:
             with_them, without = _left(gap.predictions, "closed"), _left(gap.predictions, "refit")
-            if with_them > NOT_WORSE * without:
+            if with_them > limits.NOT_WORSE.value * without:
                 return NotPredicted(findings, with_them, without)
         # a constant torque is free in every run: what it is does not touch the other findings
         beside = [f for f in findings if f.instead and f.kind in (ASYMMETRY, OFFSET_OF_TORQUE)]
@@ -386,7 +379,7 @@ class _Explainer:
         """Whether noise alone is left: in the predictions of untouched runs, whose floor is known less well, and in the
         increments of the measured ones, where small effects show."""
         predicted = gap is None or all(one.closes for one in gap.predictions)
-        return predicted and bool(np.all(left.over <= SMALL))
+        return predicted and bool(np.all(left.over <= limits.CLOSED_BALANCE.value))
 
     def _rest(self, gap: GroundGap | None, left: _Increments) -> tuple[Remainder, ...]:
         """What is left over of untouched runs, or else of the measured ones, the largest first."""
@@ -396,14 +389,14 @@ class _Explainer:
         out = []
         for j, joint in enumerate(self.arm.joints):
             run = int(np.argmax(left.over[:, j]))
-            if left.over[run, j] > SMALL:
+            if left.over[run, j] > limits.CLOSED_BALANCE.value:
                 name = f"the {joint.name} in {run_name(self.measured[run], run + 1)}"
                 out.append(Remainder(name, float(left.torque[run, j]), "Nm", float(left.floor[run, j]), "", 0.0))
         return tuple(sorted(out, key=lambda rest: -rest.size))
 
     def _unexplained(self, found: Search, gap: GroundGap | None, left: _Increments) -> Unexplained:
         predicted = max((one.worst for one in gap.predictions), default=0.0) if gap is not None else 0.0
-        untouched = predicted > CLOSED
+        untouched = predicted > limits.CLOSED.value
         worst = predicted if untouched else float(left.over.max())
         near = found.nearest
         if near is None or near.explained <= 0.0:
@@ -510,13 +503,15 @@ class _Sizes:
         k = self.layout.at(name)
         value = float(self.layout.start[k] + self.fitted.x[k])
         freedom = self._freedom.get(k, 2.0)
-        return value, self._sigma.get(k, 0.0) * float(student_factor(0.95, freedom)) / INTERVAL
+        return value, self._sigma.get(k, 0.0) * float(
+            student_factor(limits.CONFIDENCE.value, freedom)
+        ) / limits.INTERVAL_Z.value
 
     def wide(self, name: str) -> float:
         """Factor by which a 99.7 % interval is wider than that of a normal variable with the same 95 % interval."""
         freedom = self._freedom.get(self.layout.at(name), 2.0)
-        own = student_isf(normal_sf(SURE), freedom) / SURE
-        return float(own / (student_factor(0.95, freedom) / INTERVAL))
+        own = student_isf(normal_sf(limits.DIFFERS_Z.value), freedom) / limits.DIFFERS_Z.value
+        return float(own / (student_factor(limits.CONFIDENCE.value, freedom) / limits.INTERVAL_Z.value))
 
 
 def stage_of(layout: Layout, name: str, fitted: Fit) -> Stage:
@@ -583,7 +578,7 @@ def cut(run: Run, parts: int) -> tuple[Run, ...]:
     """A run cut into parts of equal length, as if each had been recorded by itself. Errors: ZygosError where it is too
     short."""
     length = len(run) // parts
-    if length * run.arm.period_s < _SHORTEST_S:
+    if length * run.arm.period_s < limits.SHORTEST_S.value:
         raise ZygosError(
             f"{run.path or 'the run'}: one run of {len(run) * run.arm.period_s:.1f} s cannot be cut into {parts} "
             "parts, of which one must hold what another says; remedy: give two runs (--measured A B), or a longer one"

@@ -8,16 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.gap.ground.columns import Table
 from zygos.quantiles import normal_isf, student_sf
 
 Floats = NDArray[np.float64]
 Places = tuple[int, ...]
-
-_ROUNDS = 5
-_RIDGE = 1e-12
-_UNSEEN = 1e-7
-"""Share of a column's square beside the others below which the motion does not show it."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,7 @@ def fit(table: Table, free: Sequence[int], sigma: Floats | None = None) -> Fit:
     lost = min(0.5, len(free) / float(rows.sum()))
     x = np.zeros(table.layout.width - 1)
     of = np.array(free)
-    for _ in range(_ROUNDS):
+    for _ in range(limits.WEIGHT_ROUNDS.value):
         if any(place in free for _, place in table.layout.gains):
             table = table.with_gains(x)
             whole, noise = table.gram.sum(axis=0), table.noise.sum(axis=0)
@@ -80,7 +76,7 @@ def fit(table: Table, free: Sequence[int], sigma: Floats | None = None) -> Fit:
         x = np.zeros_like(x)
         x[of] = solve(total[np.ix_(of, of)], prior[of], total[of, -1:])[:, 0]
         left = forms(whole + noise, x)
-        sigma = np.sqrt(np.maximum(left, 1e-24 * square) / (rows * (1.0 - lost)))
+        sigma = np.sqrt(np.maximum(left, limits.LEAST_RESIDUAL.value * square) / (rows * (1.0 - lost)))
     return Fit(tuple(int(k) for k in of), x, sigma)
 
 
@@ -191,7 +187,7 @@ def _beside(
         slope, start = solved[:, :-1], solved[:, -1]
         own = gram[tried, tried]
         square = own - np.sum(inner * slope, axis=0)
-        seen = square > _UNSEEN * np.maximum(own, 1e-300)
+        seen = square > limits.UNSEEN.value * np.maximum(own, 1e-300)
         with np.errstate(divide="ignore", invalid="ignore"):
             values.append(np.where(seen, (gram[tried, -1] - inner.T @ start) / square, np.nan))
             variances.append(np.where(seen, 1.0 / square, np.nan))
@@ -258,7 +254,7 @@ def _scaled(matrix: Floats, prior: Floats) -> tuple[Floats, Floats]:
     diagonal = np.diag(matrix) + prior
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     scaled = (matrix + np.diag(prior)) * scale * scale[:, None]
-    return scale, scaled + _RIDGE * np.eye(len(scale)) + np.diag(1.0 * (diagonal <= 0.0))
+    return scale, scaled + limits.RIDGE.value * np.eye(len(scale)) + np.diag(1.0 * (diagonal <= 0.0))
 
 
 def solve(matrix: Floats, prior: Floats, right: Floats) -> Floats:

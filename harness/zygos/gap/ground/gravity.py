@@ -5,24 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.balances.joint import gravity_forces
 from zygos.balances.quadrature import integral
 from zygos.balances.state import State
 from zygos.gap.ground.columns import Table
 from zygos.gap.ground.fit import fit, forms, solve
-from zygos.gap.ground.search import LEAST_Z
 from zygos.ground.estimate import DEFAULT_FRICTION
 from zygos.ground.rows import RunRows
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
-
-LEAST = 0.5
-"""Difference to the gravity of the arm file that is a matter of the arm file, m/s^2."""
-EXPLAINS = 0.9
-"""Share of the squared residual of a joint, with the usual friction, that it must take away."""
-_BLOCKS = 10
-"""Of each run, one of which after the other is left out."""
 
 
 def missing_gravity(table: Table, simulation: Model) -> Floats | None:
@@ -43,7 +36,7 @@ def missing_gravity(table: Table, simulation: Model) -> Floats | None:
     for number, rows in enumerate(table.rows):
         columns = _columns(table, rows, number, moments)[..., [*free, *range(-4, 0)]]
         columns = columns / fitted.sigma[:, None] * ~rows.lingers[..., None]
-        for part in np.array_split(columns[rows.rows.accepted], _BLOCKS):
+        for part in np.array_split(columns[rows.rows.accepted], limits.GRAVITY_BLOCKS.value):
             grams.append(np.einsum("mjp,mjq->jpq", part, part, optimize=True))
     joints, prior = np.sum(grams, axis=0), np.append(layout.prior()[free], np.zeros(3))
     each = np.sum(grams, axis=1)
@@ -59,8 +52,14 @@ def missing_gravity(table: Table, simulation: Model) -> Floats | None:
     spread = np.array([value(total - own)[-3:] for own in each]) - found
     sigma = np.sqrt((len(each) - 1) / len(each) * np.sum(spread**2, axis=0))
     size = float(np.linalg.norm(found[pulls]))
-    sure = size > LEAST_Z * float(np.linalg.norm(sigma[pulls]))
-    return found if size > LEAST and sure and np.any(left[1] < (1.0 - EXPLAINS) * left[0]) else None
+    sure = size > limits.NAMED_Z.value * float(np.linalg.norm(sigma[pulls]))
+    return (
+        found
+        if size > limits.GRAVITY_OFF.value
+        and sure
+        and np.any(left[1] < (1.0 - limits.GRAVITY_EXPLAINS.value) * left[0])
+        else None
+    )
 
 
 def _columns(table: Table, rows: RunRows, number: int, moments: Floats) -> Floats:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.dynamics.equations import from_model
@@ -16,10 +17,9 @@ from zygos.errors import Undecided, ZygosError
 from zygos.gap.findings import ASYMMETRY, Finding
 from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
 from zygos.gap.ground.columns import Layout, table_of
-from zygos.gap.ground.direction import PHASES, phases
+from zygos.gap.ground.direction import phases
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.fit import fit, jackknife
-from zygos.gap.ground.search import LEAST_Z
 from zygos.ground.motion import Motion
 from zygos.ground.twin import predicted_load
 from zygos.plan.limits import Limits
@@ -34,14 +34,14 @@ Floats = NDArray[np.float64]
 
 def next_ground_motion(
     found: GroundExplanation,
-    limits: Limits,
+    allowed: Limits,
     arm_file: Path,
     model_file: Path,
     *,
     name: str = "next",
     progress: Callable[[float], None] = lambda share: None,
 ) -> Separating:
-    """The motion that best tells apart the effects that the runs cannot. limits: finite ones of angles and rates.
+    """The motion that best tells apart the effects that the runs cannot. allowed: finite limits of angles and rates.
 
     Errors: ZygosError where nothing has to be told apart; Undecided where no motion within the limits tells them apart.
     """
@@ -69,7 +69,7 @@ def next_ground_motion(
         acts = t + (0.0 if arm.torque_law == "sampled" else 0.5 * h)
         angle, rate = scenario.desired(names, acts)
         tau = needed_torque(arm, dynamics, angle, rate, scenario.accelerations(names, acts))
-        if excess := limits.violation(arm, angle, rate, tau):
+        if excess := allowed.violation(arm, angle, rate, tau):
             raise ZygosError(excess)
         noise = draw_noise(noisy, count, [scenario.seed], scenario.encoder_noise)
         read = scenario.desired(names, t)[0]
@@ -102,7 +102,7 @@ def next_ground_motion(
         scores = []
         for one in rests:
             seen = np.array([*phases(table, table.rows[0], fitted, _at(arm, one))])
-            scores.append(abs(one.value) / float(seen.std(ddof=1)) if len(seen) >= PHASES else 0.0)
+            scores.append(abs(one.value) / float(seen.std(ddof=1)) if len(seen) >= limits.PHASES.value else 0.0)
         for one, other in columns:
             own = next(names_[0] for names_ in found.search.sets if other in names_[1:])
             both = fit(table, [*layout.basis, *dict.fromkeys([*named, layout.at(other)])])
@@ -112,7 +112,7 @@ def next_ground_motion(
         return min(scores)
 
     longest = max(len(run) for run in found.measured) * arm.period_s
-    middle = 0.5 * (limits.low + limits.high)
+    middle = 0.5 * (allowed.low + allowed.high)
     template = Scenario(
         name,
         arm_file,
@@ -123,7 +123,7 @@ def next_ground_motion(
         encoder_noise="quantised",
         angular_momentum_nms=0.0,
     )
-    return most_separating(template, names, limits, judge, needed=LEAST_Z, progress=progress)
+    return most_separating(template, names, allowed, judge, needed=limits.NAMED_Z.value, progress=progress)
 
 
 def _at(arm: Arm, one: Finding) -> int:

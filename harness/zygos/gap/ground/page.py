@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.files.output import number
 from zygos.gap.charts import planned_chart
-from zygos.gap.findings import INTERVAL, Finding
+from zygos.gap.findings import Finding
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.predictions import Prediction, quantities, run_name
@@ -110,7 +111,7 @@ def gap_content(
                 "unit": unit_of(v.unit),
                 "delivered": number(v.delivered, 5),
                 "found": down_to(v.found, v.sigma),
-                "half": number(INTERVAL * v.sigma, 2),
+                "half": number(limits.INTERVAL_Z.value * v.sigma, 2),
                 "differs": v.differs,
             }
             for v in found.values

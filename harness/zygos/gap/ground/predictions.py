@@ -8,27 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.gap.adopted import Check, no_worse
 from zygos.gap.remainder import explained_share
 from zygos.gap.verdicts import Remainder
-from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_rows
+from zygos.ground.motion import Motion, TorqueRows, cutoff_hz, torque_rows
 from zygos.ground.score import Score, scored, with_floor
 from zygos.ground.twin import floor
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
-
-CLOSED = 3.0
-"""Error of the predicted torques over what noise causes, up to which a run closes."""
-STRETCH_S = 0.5
-"""Length of the stretches over which errors are compared, s."""
-BETTER = 0.5
-"""Share of the error of the model as delivered that the plain estimate leaves where it is an answer by itself."""
-TELLS = 0.2
-"""Share of the squared error that must go with a quantity for it to be said."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +91,7 @@ class Prediction:
     @property
     def closes(self) -> bool:
         """Whether noise alone is left."""
-        return self.worst <= CLOSED
+        return self.worst <= limits.CLOSED.value
 
     def closed_by(self, stage: Stage) -> Prediction:
         """With another model as the one that was found."""
@@ -111,10 +103,13 @@ class Prediction:
         and in what a tenth of them exceeds, and the work in one second."""
         checks = []
         if self.evaluated.any():
-            for percent, said in ((50, "the median error of the torques"), (90, "the 90th percentile of the error")):
+            for percent, said in (
+                (50, "the median error of the torques"),
+                (limits.TAIL_PERCENT.value, "the 90th percentile of the error"),
+            ):
                 name = f"{said} in {run_name(self.run)}"
                 each = [(which, self._percentile(score, percent)) for which, score in self.baselines]
-                limit = CLOSED * self._percentile(self.floor, percent)
+                limit = limits.CLOSED.value * self._percentile(self.floor, percent)
                 checks.append(no_worse(name, "floors", self._percentile(self.closed, percent), each, limit))
         if not (self.closes and self.evaluated.all()):
             # the floor of the work is known less well than those of torques: where these do not close, it is no excuse
@@ -126,7 +121,7 @@ class Prediction:
     def _percentile(self, score: Score, percent: float) -> float:
         """Percentile over stretches of half a second of the root mean square over the evaluated joints, in floors."""
         left = (score.measured - score.predicted)[:, self.evaluated] / self.floor_nm[self.evaluated]
-        length = max(1, round(STRETCH_S / self.rows.period_s))
+        length = max(1, round(limits.STRETCH_S.value / self.rows.period_s))
         each = [np.mean(part**2) for part in np.array_split(left, max(1, len(left) // length))]
         return float(np.percentile(np.sqrt(each), percent))
 
@@ -137,7 +132,7 @@ def predict(run: Run, delivered: Stage, refit: Stage, plain: Stage) -> Predictio
     Errors: ZygosError for a run that is too short.
     """
     motion = Motion.of(run)
-    rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), HIGHEST_CUTOFF_HZ))
+    rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), limits.HIGHEST_CUTOFF_HZ.value))
     stages = (delivered, refit, plain)
     first, second, third = scores = [scored(run, one.name, rows, one.values, one.effects, motion) for one in stages]
     best, _ = min(zip(stages, scores, strict=True), key=lambda each: sum(one.error_nm**2 for one in each[1].joints))
@@ -157,7 +152,7 @@ def remainders(predictions: Sequence[Prediction]) -> tuple[Remainder, ...]:
     for one in predictions:
         arm = one.run.arm
         for j, joint in enumerate(arm.joints):
-            if not one.ratio[j] > CLOSED:
+            if not one.ratio[j] > limits.CLOSED.value:
                 continue
             over, share = varies_with(one, j)
             name = f"the {joint.name} in {run_name(one.run)}"
@@ -169,7 +164,7 @@ def varies_with(one: Prediction, joint: int) -> tuple[str, float]:
     """The quantity that says most about the error at a joint, and its share of the square; empty where none does."""
     error = one.error[:, joint]
     share, name = max((explained_share(x[None], error[None]), name) for name, x in quantities(one, joint))
-    return (name, share) if share > TELLS else ("", 0.0)
+    return (name, share) if share > limits.TELLS.value else ("", 0.0)
 
 
 def quantities(one: Prediction, joint: int) -> list[tuple[str, Floats]]:

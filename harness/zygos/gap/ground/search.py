@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.gap.findings import ROTOR_INERTIA
 from zygos.gap.ground.candidates import GAIN, Candidate
 from zygos.gap.ground.columns import Table
@@ -17,26 +18,6 @@ from zygos.quantiles import normal_isf, normal_sf, student_isf
 
 Floats = NDArray[np.float64]
 Against = Literal["insignificant", "inconsistent", "negative", "not transferable", "immaterial"]
-
-LEAST_Z = 4.5
-"""Standard deviations that a candidate needs at least."""
-FALSE_ALARMS = 1e-3
-"""Probability that any of the candidates of a search passes the first test by chance."""
-AGREE_Z, AGREE_SHARE = 4.0, 0.25
-"""Deviations, or share of the value, by which a run by itself may differ."""
-MATERIAL = 0.2
-"""Share of what noise does not explain that a candidate must take away. What is left over of another law looks a little
-like every column, and is significant because it repeats."""
-MOSTLY, SEEN_Z, FAR = 0.5, 3.0, 4.0
-"""Share of what noise does not explain from which on a candidate needs fewer deviations, these deviations, and what
-must be left over then on each run, in units of noise. A law that acts in a few instants, as friction that falls with
-the rate does, differs from block to block by more than noise if its form is another one."""
-NOISE = 1.3
-"""Mean square of a residual, in units of that of noise, from which on there is something to explain."""
-_KEPT_Z = 3.0
-_LIKE = 0.9
-"""Share of the improvement with which a candidate may stand in for another."""
-_MOST = 24
 
 
 @dataclass(frozen=True)
@@ -108,7 +89,7 @@ class Search:
 
 def threshold(count: int) -> float:
     """Standard deviations that one of so many candidates needs."""
-    return max(LEAST_Z, float(normal_isf(0.5 * FALSE_ALARMS / max(count, 1))))
+    return max(limits.NAMED_Z.value, float(normal_isf(0.5 * limits.FALSE_ALARMS.value / max(count, 1))))
 
 
 def false_alarms(count: int) -> float:
@@ -131,7 +112,7 @@ def search(table: Table, step: Callable[[str], None], begun: Search | None = Non
         if kept != names:
             names, free = kept, [*layout.basis, *(layout.at(name) for name in kept)]
             fitted = fit(table, free)
-    for _ in range(_MOST):
+    for _ in range(limits.MOST_TERMS.value):
         taken = {(one.key, one.joint) for one in layout.candidates if one.name in names}
         open_ones = [one for one in layout.candidates if (one.key, one.joint) not in taken]
         if not open_ones:
@@ -187,8 +168,10 @@ def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float)
     # values of bodies give way to a wrong gain, so that other joints show it as well
     explained, worst = _explained(table, scores, k, range(table.layout.arm.n) if is_gain(one) else (one.joint,))
     against: Against | None = None
-    far = bool(np.all(scores.before[:, one.joint] > (FAR * table.floor[:, one.joint]) ** 2))
-    if not np.isfinite(sigma) or abs(z) < (SEEN_Z if far and explained > MOSTLY else needed):
+    far = bool(np.all(scores.before[:, one.joint] > (limits.FAR.value * table.floor[:, one.joint]) ** 2))
+    if not np.isfinite(sigma) or abs(z) < (
+        limits.SEEN_Z.value if far and explained > limits.EXPLAINS_MOST.value else needed
+    ):
         against = "insignificant"
     elif one.positive and value < 0.0:
         against = "negative"
@@ -196,7 +179,7 @@ def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float)
         against = "inconsistent"
     elif worst < 0.0 and one.key != ROTOR_INERTIA:
         against = "not transferable"
-    elif explained < MATERIAL:
+    elif explained < limits.MATERIAL.value:
         against = "immaterial"
     limit = float(student_isf(normal_sf(needed), scores.freedom[k]) * sigma)
     return Tried(
@@ -220,8 +203,8 @@ def _agrees(table: Table, value: float, sigma: float, each: Floats, each_sigma: 
         if not np.isfinite(own):
             continue
         # a standard deviation from few blocks is not known well itself
-        limit = student_isf(normal_sf(AGREE_Z), max(2.0, 0.5 * count)) * np.hypot(wide, sigma)
-        if abs(own - value) > max(limit, AGREE_SHARE * abs(value)):
+        limit = student_isf(normal_sf(limits.AGREE_Z.value), max(2.0, 0.5 * count)) * np.hypot(wide, sigma)
+        if abs(own - value) > max(limit, limits.AGREE_SHARE.value * abs(value)):
             return False
         if own * value < 0.0 and abs(own) > 2.0 * wide:
             return False
@@ -233,7 +216,7 @@ def _explained(table: Table, scores: Scores, k: int, joints: Sequence[int]) -> t
     units of its noise, and the least change on a run that shows it."""
     unit = table.floor[:, joints] ** 2
     before, after = scores.before[:, joints] / unit, scores.after[:, k][:, joints] / unit
-    rest = np.maximum(before - NOISE, 0.0)
+    rest = np.maximum(before - limits.NOISE.value, 0.0)
     shows = np.isfinite(scores.alone[:, k]) & (np.abs(scores.value[k]) > 2.0 * scores.alone_sigma[:, k])
     better = np.sum(before - after, axis=1)
     whole = float(rest.sum())
@@ -245,12 +228,12 @@ def _alike(table: Table, fitted: Fit, best: Tried, tried: Sequence[Tried]) -> li
     """Candidates that explain as much as the best one, and beside which it is not significant."""
     out = []
     for other in tried:
-        if other is best or not other.passes or other.gain < _LIKE * best.gain:
+        if other is best or not other.passes or other.gain < limits.STANDS_IN.value * best.gain:
             continue
         if other.candidate.joint != best.candidate.joint:
             continue
         beside = fit(table, [*fitted.free, table.layout.at(other.name)], fitted.sigma)
-        if abs(float(score(table, beside, [table.layout.at(best.name)]).z[0])) < _KEPT_Z:
+        if abs(float(score(table, beside, [table.layout.at(best.name)]).z[0])) < limits.KEPT_Z.value:
             out.append(other.name)
     return out
 
@@ -268,7 +251,7 @@ def _retested(
         place = table.layout.at(name)
         k = fitted.free.index(place)
         value, sigma = float(fitted.x[place]), float(np.sqrt(max(covariance[k, k], 1e-300)))
-        weak = abs(value) < student_isf(normal_sf(_KEPT_Z), freedom[k]) * sigma
+        weak = abs(value) < student_isf(normal_sf(limits.KEPT_Z.value), freedom[k]) * sigma
         if weak or (by_name[name].positive and value < 0.0):
             kept.remove(name)
     return kept, [group for group in sets if group[0] in kept]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.effects import is_column, spoken
 from zygos.gap import sentences
@@ -24,9 +25,6 @@ from zygos.gap.verdicts import (
 )
 from zygos.report.figures import figure
 
-_FAILS = 2.0
-_SIZED = 2
-"""Findings of one kind up to which a sentence says their sizes; those of more joints are in the table."""
 _AGAINST: dict[Against, str] = {
     "insignificant": "not beyond chance",
     "inconsistent": "the runs disagree on its size",
@@ -69,7 +67,7 @@ def _of_kind(arm: Arm, findings: Sequence[Finding]) -> str:
     if len(findings) == 1:
         after = after_gear(arm, first)
         return sentences.listed([first]) + (f" ({after} after the gear)" if after else "")
-    if len(findings) > _SIZED:
+    if len(findings) > limits.SIZED.value:
         return f"{first.title} ({', '.join(sorted(str(f.joint) for f in findings))})"
     return f"{first.title} ({'; '.join(f'{f.joint} {sentences.sized(f.value, f.sigma, f.unit)}' for f in findings)})"
 
@@ -134,7 +132,7 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
 
 def where(joints: Sequence[tuple[str, float, float, float]]) -> str:
     """Which joints fail: name, torque left by the refit and by the closed model, and noise, Nm."""
-    fails = [one for one in joints if one[1] > _FAILS * one[3]]
+    fails = [one for one in joints if one[1] > limits.FAILS.value * one[3]]
     if not fails:
         return "The torques of all joints close."
     said = "; ".join(f"{name} {figure(before)} → {figure(after)} Nm" for name, before, after, _ in fails)
@@ -192,14 +190,17 @@ def against(one: Tried) -> str:
 def offset(joint: str, size: float, sigma: float) -> str:
     """A constant torque that is there at rest as well."""
     return (
-        f"the torque of the {joint} has a constant offset of {size:.3g} ± {1.96 * sigma:.1g} Nm, also at rest: that of "
+        f"the torque of the {joint} has a constant offset of {size:.3g} ± {limits.INTERVAL_Z.value * sigma:.1g} Nm, "
+        "also at rest: that of "
         "its sensor, of a cable or of a brake"
     )
 
 
 def gains(arm: Arm, found: Sequence[Finding]) -> str:
     """Gains of torque sensors within their usual errors."""
-    each = ", ".join(f"{f.joint} {-100 * f.value:+.2g} ± {196 * f.sigma:.1g} %" for f in found)
+    each = ", ".join(
+        f"{f.joint} {-100 * f.value:+.2g} ± {100 * limits.INTERVAL_Z.value * f.sigma:.1g} %" for f in found
+    )
     return (
         f"the torque sensors read differently: against that of the {arm.joints[0].name} too much by {each}; the values "
         "are found with these gains"

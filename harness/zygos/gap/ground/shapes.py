@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.gap.ground.candidates import Candidate
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.fit import Fit, fit, residual
@@ -16,11 +17,6 @@ from zygos.ground.twin import predicted_load
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
-
-_STEPS = (1.0 / 4.0, 1.0 / 16.0)
-"""Distances of the shapes of the finer grids, in steps of the catalogue's grid."""
-_NEIGHBOUR = 1.1
-"""Ratio of two shapes whose columns together leave the shape open."""
 
 
 def with_best_shapes(
@@ -33,11 +29,11 @@ def with_best_shapes(
         return table, found
     loads = [predicted_load(rows.motion, values) for rows in table.rows]
     best = {one.name: one for one in shaped}
-    for distance in _STEPS:
+    for distance in limits.SHAPE_STEPS.value:
         for one in shaped:
             best[one.name] = _best(simulation, table, found, loads, best, one.name, distance)
     listed = [best.get(one.name, one) for one in table.layout.candidates]
-    listed += [_shaped(one, _shape(one) * _NEIGHBOUR) for one in best.values()]
+    listed += [_shaped(one, _shape(one) * limits.NEIGHBOUR.value) for one in best.values()]
     there = table_of(_layout(simulation, table, listed), [rows.motion for rows in table.rows], table.span_s, loads)
     named = tuple(replace(one, candidate=best.get(one.name, one.candidate)) for one in found.named)
     sets = tuple(tuple(best[name].name if name in best else name for name in names) for names in found.sets)
@@ -50,7 +46,7 @@ def open_shapes(table: Table, named: Sequence[Tried]) -> list[tuple[int, int]]:
     out = []
     for one in named:
         if _has_shape(one.candidate):
-            other = _shaped(one.candidate, _shape(one.candidate) * _NEIGHBOUR).name
+            other = _shaped(one.candidate, _shape(one.candidate) * limits.NEIGHBOUR.value).name
             if other in names:
                 out.append((table.layout.at(one.name), table.layout.at(other)))
     return out

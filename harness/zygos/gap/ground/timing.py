@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.effects import CATALOGUE
 from zygos.gap.ground.columns import Table
 from zygos.gap.ground.fit import fit, jackknife, residual
-from zygos.gap.ground.search import AGREE_SHARE, AGREE_Z, LEAST_Z, NOISE
 from zygos.ground.estimate import DEFAULT_FRICTION
 from zygos.ground.motion import Motion
 from zygos.ground.rows import friction, run_rows
@@ -19,12 +19,6 @@ from zygos.model.model import Model
 from zygos.quantiles import normal_sf, student_isf
 
 Floats = NDArray[np.float64]
-
-LEAST_LATE = 0.4
-"""Periods by which all torques must be late or early to be a matter of the arm file."""
-
-EXPLAINS = 0.5
-"""Share of what friction and noise leave that a delay must take away on every run."""
 
 
 def lateness(table: Table) -> float | None:
@@ -41,18 +35,20 @@ def lateness(table: Table) -> float | None:
     value, sigma = fitted.x[lags], np.sqrt(np.maximum(np.diag(covariance)[at], 1e-300))
     weight = 1.0 / sigma**2
     mean = float(np.sum(weight * value) / np.sum(weight))
-    limit = student_isf(normal_sf(AGREE_Z), freedom[at]) * sigma
-    same = np.all(np.abs(value - mean) <= np.maximum(limit, AGREE_SHARE * abs(mean)))
-    sure = abs(mean) * np.sqrt(np.sum(weight)) > student_isf(normal_sf(LEAST_Z), float(np.min(freedom[at])))
+    limit = student_isf(normal_sf(limits.AGREE_Z.value), freedom[at]) * sigma
+    same = np.all(np.abs(value - mean) <= np.maximum(limit, limits.AGREE_SHARE.value * abs(mean)))
+    sure = abs(mean) * np.sqrt(np.sum(weight)) > student_isf(
+        normal_sf(limits.NAMED_Z.value), float(np.min(freedom[at]))
+    )
     # a run that hardly shows a lag agrees with any
     shown = np.all(np.abs(value) > 2.0 * sigma)
     periods = mean / layout.arm.period_s
-    if not (same and sure and shown and abs(periods) > LEAST_LATE):
+    if not (same and sure and shown and abs(periods) > limits.LATE.value):
         return None
     without = fit(table, [*layout.basis, *(layout.at(one.name) for one in usual)])
     before, after = residual(table, without.x) / without.sigma**2, residual(table, fitted.x) / without.sigma**2
-    rest = np.maximum(before - NOISE * table.floor**2 / without.sigma**2, 0.0).sum(axis=1)
-    return periods if np.all((before - after).sum(axis=1) > EXPLAINS * rest) else None
+    rest = np.maximum(before - limits.NOISE.value * table.floor**2 / without.sigma**2, 0.0).sum(axis=1)
+    return periods if np.all((before - after).sum(axis=1) > limits.LATE_EXPLAINS.value * rest) else None
 
 
 def torque_constants(motions: Sequence[Motion], simulation: Model, span_s: float) -> Floats:
