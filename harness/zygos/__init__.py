@@ -10,7 +10,7 @@
 
 Files       load_arm save_arm load_model save_model load_run save_run load_scenario example write_example
 Runs        Run make_run simulate simulate_with_truth
-Questions   estimate refine estimate_ground payload score check check_arm explain predict
+Questions   estimate refine estimate_ground payload check check_arm explain predict
 Answers     Estimation Refinement GroundEstimate Payload Score Check ArmCheck Explanation Prediction write_report
 Errors      ZygosError Undecided
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from zygos.gap.runs import explain_runs as explain
     from zygos.ground.estimate import GroundEstimate, estimate_ground
     from zygos.ground.payload import Payload, payload
-    from zygos.ground.score import Score, score
+    from zygos.ground.score import Score
     from zygos.model.model import Model, Quantity, load_model, save_model
     from zygos.reference.check import Check, check
     from zygos.refinement.refine import Refinement
@@ -84,7 +84,6 @@ _HOMES = {
     "save_arm": "arm",
     "save_model": "model.model",
     "save_run": "can.run",
-    "score": "ground.score",
     "simulate": "simulation.run",
     "simulate_with_truth": "simulation.run",
     "write_example": "files.examples",
@@ -131,7 +130,6 @@ __all__ = [
     "save_arm",
     "save_model",
     "save_run",
-    "score",
     "simulate",
     "simulate_with_truth",
     "write_example",

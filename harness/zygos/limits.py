@@ -52,6 +52,11 @@ EVALUATED = Limit("evaluated", 5.0, "1", "convention",
 WORK_WINDOW_S = Limit("work window s", 1.0, "s", "convention",
     "Time over which works are compared.")
 
+PREDICTED_READINGS = Limit("predicted readings", 50_000, "1", "convention",
+    "Readings in the stretches of a run that a model predicts half a second ahead: about so many, evenly spread.")
+PREDICTED_DRAWS = Limit("predicted draws", 24, "1", "convention",
+    "Draws of the noise that give the covariance of these predictions.")
+
 # What differs, and what is significant
 INTERVAL_Z = Limit("interval z", float(normal_isf(0.025)), "1", "convention",
     "Standard deviations of a 95 % interval.")

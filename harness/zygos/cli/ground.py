@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from zygos.cli.shared import conclude
 from zygos.files.output import counted, named, number, quiet, ratio, say, table, write_json
+from zygos.gap.predict import Prediction
 from zygos.ground.estimate import GroundEstimate
 from zygos.ground.payload import Payload, check_found
 from zygos.ground.score import Score
@@ -120,6 +120,7 @@ def _print_across(found: GroundEstimate) -> None:
 def print_score(score: Score, before: str = "") -> None:
     """Table of a prediction."""
     flexible = any(np.isfinite(one.spring_nm) for one in score.joints)
+    rests = any(one.rest_share > 0.0 for one in score.joints)
     rows = [
         (
             one.joint,
@@ -132,6 +133,7 @@ def print_score(score: Score, before: str = "") -> None:
             number(one.energy_error_j, 3),
             number(100 * one.energy_share, 3),
             number(one.sigmas, 3),
+            *((f"{number(one.rest_nm, 3)} ({100 * one.rest_share:.0f} %)",) if rests else ()),
             *((number(one.spring_nm, 3),) if flexible else ()),
         )
         for one in score.joints
@@ -149,11 +151,28 @@ def print_score(score: Score, before: str = "") -> None:
         "σ",
     )
     how = f"at {score.cutoff_hz:.1f} Hz" if score.cutoff_hz else f"over increments of {score.increment_s:g} s"
-    table((*heads, *(("spring, Nm",) if flexible else ())), rows, title=f"{before}{score.run.path or 'the run'} {how}")
+    apart = (*(("at rest, Nm",) if rests else ()), *(("spring, Nm",) if flexible else ()))
+    table((*heads, *apart), rows, title=f"{before}{score.run.path or 'the run'} {how}")
     say(f"work of all motors in 1 s: {100 * score.arm_energy_share:.3g} % are left by the energy of the arm")
 
 
-def scores_table(scores: Sequence[Score]) -> None:
-    """Tables of several predictions."""
-    for one in scores:
-        print_score(one)
+def print_prediction(one: Prediction) -> None:
+    """Tables of a prediction."""
+    print_score(one.torques)
+    ahead = one.ahead
+    if ahead is not None:
+        table(
+            ("half a second ahead", "error", "floor", "unit"),
+            [
+                (name, number(error, 3), number(floor, 3), unit)
+                for name, error, floor, unit in zip(
+                    ahead.signals, ahead.error.tolist(), ahead.floor.tolist(), ahead.units, strict=True
+                )
+            ],
+        )
+        say(
+            f"half a second ahead, {len(ahead.distance)} stretches: {ahead.median:.3g} σ in the median, 90th percentile"
+            f" {ahead.tenth:.3g} σ; near 1 only noise is left"
+        )
+    elif one.reason:
+        say(f"not predicted half a second ahead: {one.reason}")

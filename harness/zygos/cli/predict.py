@@ -1,4 +1,4 @@
-"""`zygos predict`: compares the torques of runs with those that a model predicts."""
+"""`zygos predict`: compares runs with what a model predicts of them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.ground import scores_table
+from zygos.cli.ground import print_prediction
 from zygos.cli.options import ArmFile, Json, Report, Runs
 from zygos.cli.shared import not_whole, read_runs
 from zygos.files.output import check_outputs, quiet, write_json
-from zygos.ground.score import score
+from zygos.gap.predict import predict
 from zygos.model.model import load_model
 from zygos.report.provenance import provenance
 
@@ -34,13 +34,17 @@ def command(
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """Compare the torques of runs with those that a model predicts, joint by joint.
+    """Compare runs with what a model predicts of them: the torques of each joint, and the motion half a second ahead.
 
     For each joint: root mean square of the measured torque and of the error, in Nm behind the gear and in per cent, and
-    of the work over one second that the error makes; the error in standard deviations of the torque's noise (σ). On the
-    ground the floor stands beside the error: what the model leaves of its own simulated twin, because of noise, quanta
-    and filters. A joint whose torque is below five floors is not evaluated. The constant offset of each torque in each
-    run is taken out first, and shown; "with offset" has it in it.
+    of the work over one second that the error makes. The floor stands beside the error: what the noise of all sensors,
+    quanta and filters make of the same model; σ is the error in floors, and near 1 only noise is left. A joint whose
+    torque is below five floors is not evaluated. Instants at which a joint rests are apart: its friction may be
+    anything there. The constant offset of each torque in each run is taken out first, and shown; "with offset" has it
+    in it.
+
+    The motion of an arm that floats or has flexible joints is also predicted half a second ahead, again and again, from
+    the readings before and under the measured torques.
 
     The model may be any: bodies or base parameters, from a drawing or from an estimate.
 
@@ -50,14 +54,16 @@ def command(
     check_outputs([json, report], [*run, chosen, model])
     hardware, assumed = load_arm(chosen), load_model(model)
     recorded = read_runs(run, arm, chosen, hardware, own_noise=True)
-    scores = [score(one, assumed, cutoff=cutoff) for one in recorded]
+    predictions = [predict(assumed, one, cutoff=cutoff) for one in recorded]
+    scores = [one.torques for one in predictions]
     if report is not None:
         from zygos.ground.page import write_score_report  # noqa: PLC0415  (only a report needs charts)
 
         files = [*(("run", path) for path in run), ("arm", chosen), ("model", model)]
         write_score_report(report, scores, provenance(context.obj or ["predict"], files))
     if json:
-        write_json(json, {"model": str(model), "runs": [one.as_dict() for one in scores]})
+        write_json(json, {"model": str(model), "runs": [one.as_dict() for one in predictions]})
     if not quiet(json, report):
-        scores_table(scores)
+        for one in predictions:
+            print_prediction(one)
     not_whole(*(one.damage for one in recorded))

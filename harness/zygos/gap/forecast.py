@@ -118,12 +118,17 @@ class Forecast:
 
     residual: Array
     """(S, n, 2N+W) predicted less measured, in units of sigma."""
-    predicted: Array
-    """(S, n, 2N+W) q, theta, omega0: rad, rad/s."""
+    path: Array
+    """(S, 2n, 2N+W) q, theta, omega0 from the fitted start on, rad and rad/s: the first half is fitted."""
     solver: Array
     """(S, states, readings + states) by which what is left of the first half second corrects a start."""
     run: NDArray[np.int64]
     """(S,) number of each segment's run, from 0."""
+
+    @property
+    def predicted(self) -> Array:
+        """(S, n, 2N+W) q, theta, omega0: rad, rad/s."""
+        return self.path[:, self.path.shape[1] // 2 :]
 
     def of_run(self, run: int) -> Forecast:
         """The predictions of one run."""
@@ -133,8 +138,13 @@ class Forecast:
         """Those of every so many segments."""
         return self._of(slice(None, None, every))
 
+    def repeated(self, times: int) -> Forecast:
+        """The same predictions so many times, one after the other."""
+        arrays = (self.residual, self.path, self.solver, self.run)
+        return Forecast(*(np.concatenate([x] * times) for x in arrays))
+
     def _of(self, own: slice | NDArray[np.bool_]) -> Forecast:
-        return Forecast(self.residual[own], self.predicted[own], self.solver[own], self.run[own])
+        return Forecast(self.residual[own], self.path[own], self.solver[own], self.run[own])
 
     @property
     def gap(self) -> float:
@@ -288,8 +298,8 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect], 
         strayed = (hold @ ((x - guess) / scale)[..., None])[..., 0]
         x = x - (solver @ np.concatenate([left, strayed], axis=1)[..., None])[..., 0] * scale
         left = misfit(move(x, 1, n))[0]
-    seen = move(x, 1, 2 * n)[:, n:]
-    return Forecast((seen - segments.readings[:, n:]) / sigma, seen, solver, segments.run)
+    path = move(x, 1, 2 * n)
+    return Forecast((path - segments.readings)[:, n:] / sigma, path, solver, segments.run)
 
 
 def _held(segments: Stretches) -> Array:

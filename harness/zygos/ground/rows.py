@@ -17,6 +17,7 @@ from zygos.balances.state import State
 from zygos.effects import SLOWEST_RATE, Effect, EffectColumn, Kind
 from zygos.effects import Motion as JointMotion
 from zygos.ground.motion import Motion, TorqueRows, torque_noise
+from zygos.ground.rest import at_rest
 
 Floats = NDArray[np.float64]
 
@@ -128,21 +129,11 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
 
 
 def _lingers(arm: Arm, motion: Motion, state: State, rows: JointRows, effects: Sequence[Effect]) -> NDArray[np.bool_]:
-    share = np.maximum(resting_share(arm, state, rows), _share(rows, _creeps(arm, motion, state)))
+    share = np.maximum(
+        resting_share(arm, state, rows), _share(rows, at_rest(state.qd, motion.smoothed.segment, arm.period_s))
+    )
     signed = {effect.index(arm) for effect in effects if effect.kind.key in _SIGNED}
     return np.asarray((share > limits.LINGERING.value) & [j in signed for j in range(arm.n)], dtype=np.bool_)
-
-
-def _creeps(arm: Arm, motion: Motion, state: State) -> NDArray[np.bool_]:
-    """(n, N) whether a joint creeps."""
-    slow = np.abs(state.qd) < limits.CREEP.value * np.sqrt(np.mean(state.qd**2, axis=0))
-    breaks = np.diff(motion.smoothed.segment, prepend=-1) != 0
-    for j in range(arm.n):
-        edges = np.flatnonzero(breaks | (np.diff(slow[:, j], prepend=False) != 0))
-        for part in np.split(np.arange(len(slow)), edges):
-            if len(part) * arm.period_s < limits.CREEPING_S.value:
-                slow[part, j] = False
-    return np.asarray(slow, dtype=np.bool_)
 
 
 def resting_share(arm: Arm, state: State, rows: JointRows) -> Floats:

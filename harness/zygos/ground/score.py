@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -16,6 +17,7 @@ from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.ground.increments import increments
 from zygos.ground.motion import Motion, TorqueRows, both_ways, cutoff_hz, torque_noise, torque_rows
+from zygos.ground.rest import at_rest
 from zygos.ground.rows import torque_columns
 from zygos.model.model import Model
 
@@ -24,11 +26,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JointScore:
-    """Measured and predicted torque of one joint, after the gear."""
+    """Measured and predicted torque of one joint, after the gear, while it moves; `rest_nm` is apart."""
 
     joint: str
     measured_nm: float
-    """Root mean square of the measured torque less its offset, Nm."""
+    """Root mean square of the measured torque less its offset, Nm; NaN of a joint that only rests."""
     error_nm: float
     """Root mean square of the measured torque less the predicted one and the offset, Nm."""
     share: float
@@ -42,20 +44,25 @@ class JointScore:
     energy_share: float
     """The same as share of the work that was measured."""
     sigmas: float
-    """error_nm in standard deviations of the torque's noise through the same filter."""
+    """error_nm over floor_nm: the error in standard deviations of the noise of all sensors."""
     floor: float
     """Root mean square of the unfiltered measured torque less the prediction, in standard deviations of the torque's
     noise: 1 where only noise is left. NaN where increments are compared."""
     spring_nm: float = float("nan")
     """Root mean square of the torque at the link that neither spring nor bodies explain, Nm; NaN at a rigid joint."""
     floor_nm: float = float("nan")
-    """error_nm of the model on its own simulated twin, which noise, quanta and filters cause, Nm; NaN where it is not
-    known."""
+    """What noise makes of error_nm, Nm: on the ground the error of the model on its own simulated twin, which noise,
+    quanta and filters cause; of increments, their standard deviation by the noise of rates and torques."""
+    rest_nm: float = float("nan")
+    """Root mean square of the same error while the joint rests (`zygos.ground.rest`), where friction may be anything up
+    to that of a joint that moves, Nm; NaN where it never rests, and where increments are compared."""
+    rest_share: float = 0.0
+    """Share of the time in which it rests."""
 
     @property
     def evaluated(self) -> bool:
-        """Whether the torque is large enough to say something of a model."""
-        return not self.measured_nm < limits.EVALUATED.value * self.floor_nm
+        """Whether the joint moves, and its torque is large enough to say something of a model."""
+        return not (math.isnan(self.measured_nm) or self.measured_nm < limits.EVALUATED.value * self.floor_nm)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,6 +84,8 @@ class Score:
     """(m, N) torque after the gear less its offset, Nm."""
     predicted: Floats
     """(m, N) Nm."""
+    resting: NDArray[np.bool_]
+    """(m, N) where a joint rests."""
 
     @property
     def share(self) -> float:
@@ -140,13 +149,17 @@ def score(run: Run, model: Model, *, cutoff: float | None = None) -> Score:
     found = scored(run, model.name, rows, values, model.effects, motion)
     from zygos.ground.twin import floor  # noqa: PLC0415  (a twin is scored as its run is)
 
-    return with_floor(found, floor(motion, rows, values, model.effects))
+    least = floor(motion, rows, values, model.effects)
+    return with_floor(found, np.array([one.error_nm for one in least.joints]))
 
 
-def with_floor(found: Score, floor: Score) -> Score:
-    """The score beside that of a twin, whose errors are the floor."""
-    joints = zip(found.joints, floor.joints, strict=True)
-    return replace(found, joints=tuple(replace(one, floor_nm=least.error_nm) for one, least in joints))
+def with_floor(found: Score, floor_nm: Floats) -> Score:
+    """The score beside the errors (N,) of the model on its own twin, Nm, which are the floor."""
+    joints = zip(found.joints, floor_nm.tolist(), strict=True)
+    return replace(
+        found,
+        joints=tuple(replace(one, floor_nm=least, sigmas=_ratio(one.error_nm, least)) for one, least in joints),
+    )
 
 
 def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Sequence[Effect], motion: Motion) -> Score:
@@ -156,16 +169,19 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
     kept, h = rows.kept, rows.period_s
     sharp = predict_torques(arm, rows, values, effects, filtered=False)
     error = rows.tau - predicted
-    offset = error[kept].mean(axis=0)
+    resting = at_rest(rows.state.qd, rows.segment, h)
+    moving = ~resting & kept[:, None]
+    offset = np.array([_mean(error[moving[:, j] if moving[:, j].any() else kept, j]) for j in range(arm.n)])
     noise = torque_noise(motion) * arm.gear_ratios
     through = _noise_gain(rows)
     raw = _unfiltered(arm, motion, rows)
     window = max(2, round(limits.WORK_WINDOW_S.value / h))
     scores = []
     for j, joint in enumerate(arm.joints):
-        left, own = (error - offset)[kept, j], (rows.tau - offset)[kept, j]
+        of, still = moving[:, j], resting[:, j] & kept
+        left, own = (error - offset)[of, j], (rows.tau - offset)[of, j]
         rate = rows.state.qd[kept, j]
-        lost, done = _work(left * rate, window, h), _work(own * rate, window, h)
+        lost, done = (_work(x[kept, j] * rate, window, h) for x in (error - offset, rows.tau - offset))
         scores.append(
             JointScore(
                 joint=joint.name,
@@ -173,11 +189,13 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
                 error_nm=rms(left),
                 share=_ratio(rms(left), rms(own)),
                 offset_nm=float(offset[j]),
-                raw_share=_ratio(rms(error[kept, j]), rms(rows.tau[kept, j])),
+                raw_share=_ratio(rms(error[of, j]), rms(rows.tau[of, j])),
                 energy_error_j=rms(lost),
                 energy_share=_ratio(rms(lost), rms(done)),
                 sigmas=_ratio(rms(left), noise[j] * through),
-                floor=_ratio(rms((raw - sharp - offset)[kept, j]), noise[j]),
+                floor=_ratio(rms((raw - sharp - offset)[of, j]), noise[j]),
+                rest_nm=rms((error - offset)[still, j]),
+                rest_share=float(np.mean(still[kept])),
             )
         )
     whole = ((rows.tau - offset) * rows.state.qd).sum(axis=1)[kept]
@@ -192,6 +210,7 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
         t=np.asarray(np.flatnonzero(kept) * h, dtype=np.float64),
         measured=(rows.tau - offset)[kept],
         predicted=predicted[kept],
+        resting=resting[kept],
     )
 
 
@@ -220,6 +239,7 @@ def _by_increments(run: Run, model: Model) -> Score:
                 sigmas=_ratio(rms(left), float(own.noise[j])),
                 floor=float("nan"),
                 spring_nm=rms(own.spring[:, j]) if joint.flexible else float("nan"),
+                floor_nm=float(own.noise[j]),
             )
         )
     return Score(
@@ -232,6 +252,7 @@ def _by_increments(run: Run, model: Model) -> Score:
         t=np.asarray(own.at * arm.period_s, dtype=np.float64),
         measured=own.measured - offset,
         predicted=own.predicted,
+        resting=np.zeros(own.predicted.shape, dtype=np.bool_),
     )
 
 
@@ -272,8 +293,12 @@ def _work(power: Floats, window: int, h: float) -> Floats:
 
 
 def rms(x: Floats) -> float:
-    """Root mean square of all values."""
-    return float(np.sqrt(np.mean(x**2)))
+    """Root mean square of all values; NaN where there is none."""
+    return float(np.sqrt(_mean(x**2)))
+
+
+def _mean(x: Floats) -> float:
+    return float(np.mean(x)) if x.size else float("nan")
 
 
 def _ratio(part: float, whole: float) -> float:

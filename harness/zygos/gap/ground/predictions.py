@@ -96,7 +96,7 @@ class Prediction:
     def closed_by(self, stage: Stage) -> Prediction:
         """With another model as the one that was found."""
         found = scored(self.run, stage.name, self.rows, stage.values, stage.effects, self.motion)
-        return replace(self, closed=with_floor(found, self.floor))
+        return replace(self, closed=with_floor(found, self.floor_nm))
 
     def comparisons(self) -> tuple[Check, ...]:
         """The model found beside the best baseline: torques in units of their floors, in the median over stretches
@@ -120,10 +120,17 @@ class Prediction:
 
     def _percentile(self, score: Score, percent: float) -> float:
         """Percentile over stretches of half a second of the root mean square over the evaluated joints, in floors."""
-        left = (score.measured - score.predicted)[:, self.evaluated] / self.floor_nm[self.evaluated]
+        left = np.where(score.resting, np.nan, score.measured - score.predicted)
+        square = (left[:, self.evaluated] / self.floor_nm[self.evaluated]) ** 2
         length = max(1, round(limits.STRETCH_S.value / self.rows.period_s))
-        each = [np.mean(part**2) for part in np.array_split(left, max(1, len(left) // length))]
+        parts = np.array_split(square, max(1, len(square) // length))
+        each = [np.nanmean(part) for part in parts if np.isfinite(part).any()]
         return float(np.percentile(np.sqrt(each), percent))
+
+
+def _squares(score: Score) -> float:
+    """The squared errors of all joints that move, added, Nm^2."""
+    return float(np.nansum([one.error_nm**2 for one in score.joints]))
 
 
 def predict(run: Run, delivered: Stage, refit: Stage, plain: Stage) -> Prediction:
@@ -135,9 +142,10 @@ def predict(run: Run, delivered: Stage, refit: Stage, plain: Stage) -> Predictio
     rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), limits.HIGHEST_CUTOFF_HZ.value))
     stages = (delivered, refit, plain)
     first, second, third = scores = [scored(run, one.name, rows, one.values, one.effects, motion) for one in stages]
-    best, _ = min(zip(stages, scores, strict=True), key=lambda each: sum(one.error_nm**2 for one in each[1].joints))
+    best, _ = min(zip(stages, scores, strict=True), key=lambda each: _squares(each[1]))
     least = floor(motion, rows, best.values, best.effects)
-    return Prediction(run, motion, rows, first, second, third, with_floor(third, least), least)
+    closed = with_floor(third, np.array([joint.error_nm for joint in least.joints]))
+    return Prediction(run, motion, rows, first, second, third, closed, least)
 
 
 def share_of_energy(predictions: Sequence[Prediction], name: str) -> float:
