@@ -8,19 +8,25 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from zygos.audit import sections as audit_sections
 from zygos.audit.check import ArmCheck
-from zygos.audit.page import write_audit_report
 from zygos.errors import ZygosError
+from zygos.estimation import sections as estimation_sections
 from zygos.estimation.estimate import Estimation
-from zygos.estimation.page import write_estimate_report
+from zygos.gap import sections
 from zygos.gap.explanation import Explanation
+from zygos.gap.ground import sections as ground_sections
 from zygos.gap.ground.explanation import GroundExplanation
-from zygos.gap.ground.page import write_ground_gap_report
-from zygos.gap.page import write_gap_report
+from zygos.gap.predict import Prediction
+from zygos.gap.prediction import answer_of as prediction_answer
+from zygos.ground.estimate import GroundEstimate
+from zygos.ground.sections import estimate_answer
+from zygos.reference import sections as reference_sections
 from zygos.reference.check import Check
-from zygos.reference.page import write_check_report
-from zygos.refinement.page import write_refine_report
+from zygos.refinement import sections as refinement_sections
 from zygos.refinement.refine import Refinement
+from zygos.report.answer import Answer
+from zygos.report.html import write_page
 from zygos.report.provenance import Provenance
 
 
@@ -31,62 +37,68 @@ def _provenance(function: str, runs: Sequence[Path | None]) -> Provenance:
     return Provenance(f"zygos.{function}, called from Python", version("zygos"), listed)
 
 
-def _explanation(result: Explanation, path: Path) -> None:
-    """Write the page of an explained gap."""
-    write_gap_report(path, result, _provenance("explain", [record.path for record in result.refit.records]))
+def _of_explanation(result: Explanation) -> tuple[Answer, Provenance]:
+    return sections.answer_of(result, draw=True), _provenance("explain", [record.path for record in result.records])
 
 
-def _ground_explanation(result: GroundExplanation, path: Path) -> None:
-    """Write the page of an explained gap of an arm on the ground."""
+def _of_ground_explanation(result: GroundExplanation) -> tuple[Answer, Provenance]:
     runs = [run.path for run in (*result.measured, *result.validated)]
-    write_ground_gap_report(path, result, _provenance("explain", runs))
+    return ground_sections.answer_of(result, draw=True), _provenance("explain", runs)
 
 
-def _estimation(result: Estimation, path: Path) -> None:
-    """Write the page of an estimate that kept its trace."""
+def _of_estimation(result: Estimation) -> tuple[Answer, Provenance]:
     if not result.watch.traced:
         raise ZygosError("the estimate has no trace to draw; remedy: zygos.estimate(run, trace=True)")
-    write_estimate_report(path, result, _provenance("estimate", [result.run.path if result.run else None]))
+    runs = [result.run.path if result.run else None]
+    return estimation_sections.answer_of(result, draw=True), _provenance("estimate", runs)
 
 
-def _check(result: Check, path: Path) -> None:
-    """Write the page of a comparison of C with numpy."""
-    write_check_report(path, result, _provenance("check", [result.run.path]))
+def _of_ground_estimate(result: GroundEstimate) -> tuple[Answer, Provenance]:
+    return estimate_answer(result, draw=True), _provenance("estimate_ground", [run.path for run in result.runs])
 
 
-def _arm_check(result: ArmCheck, path: Path) -> None:
-    """Write the page of a run that was compared with its arm file."""
-    write_audit_report(path, result.run, result.audit, _provenance("check_arm", [result.run.path]))
+def _of_prediction(result: Prediction) -> tuple[Answer, Provenance]:
+    return prediction_answer([result], draw=True), _provenance("predict", [result.torques.run.path])
 
 
-def _refinement(result: Refinement, path: Path) -> None:
-    """Write the page of a refinement."""
+def _of_check(result: Check) -> tuple[Answer, Provenance]:
+    return reference_sections.answer_of(result, draw=True), _provenance("check", [result.run.path])
+
+
+def _of_arm_check(result: ArmCheck) -> tuple[Answer, Provenance]:
+    return audit_sections.answer_of(result.run, result.audit, draw=True), _provenance("check_arm", [result.run.path])
+
+
+def _of_refinement(result: Refinement) -> tuple[Answer, Provenance]:
     damage = [text for run in result.runs for text in run.damage]
-    write_refine_report(path, result, _provenance("refine", [run.path for run in result.runs]), damage=damage)
+    runs = [run.path for run in result.runs]
+    return refinement_sections.answer_of(result, damage=damage, draw=True), _provenance("refine", runs)
 
 
-WRITERS: dict[type[Any], Callable[[Any, Path], None]] = {
-    Explanation: _explanation,
-    GroundExplanation: _ground_explanation,
-    Estimation: _estimation,
-    Check: _check,
-    ArmCheck: _arm_check,
-    Refinement: _refinement,
+ANSWERS: dict[type[Any], Callable[[Any], tuple[Answer, Provenance]]] = {
+    Explanation: _of_explanation,
+    GroundExplanation: _of_ground_explanation,
+    Estimation: _of_estimation,
+    GroundEstimate: _of_ground_estimate,
+    Prediction: _of_prediction,
+    Check: _of_check,
+    ArmCheck: _of_arm_check,
+    Refinement: _of_refinement,
 }
-"""The writer of each kind of result that has a page."""
+"""The answer of each kind of result that has a page, with its charts, and what it was made from."""
 
-Reported = Explanation | GroundExplanation | Estimation | Check | ArmCheck | Refinement
+Reported = Explanation | GroundExplanation | Estimation | GroundEstimate | Prediction | Check | ArmCheck | Refinement
 """The kinds of results that have a page."""
 
 
 def write_report(result: Reported, path: str | Path) -> None:
-    """Write the page of a result as one HTML file: of an `Explanation`, `GroundExplanation`, `Estimation`, `Check`,
-    `ArmCheck` or `Refinement`.
+    """Write the page of a result as one HTML file: of an `Explanation`, `GroundExplanation`, `Estimation`,
+    `GroundEstimate`, `Prediction`, `Check`, `ArmCheck` or `Refinement`.
 
     Errors: ZygosError if the file cannot be written or an estimate kept no trace, TypeError for results without a page.
     """
-    writer = WRITERS.get(type(result))
-    if writer is None:
-        kinds = ", ".join(kind.__name__ for kind in WRITERS)
+    build = ANSWERS.get(type(result))
+    if build is None:
+        kinds = ", ".join(kind.__name__ for kind in ANSWERS)
         raise TypeError(f"a {type(result).__name__} has no report page; there is one of: {kinds}")
-    writer(result, Path(path))
+    write_page(Path(path), *build(result))

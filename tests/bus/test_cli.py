@@ -258,9 +258,10 @@ def test_listen_estimates_the_effects_of_a_model(
     prior.write_text((EXAMPLE / "model.toml").read_text() + entry)
     answers = []
     with playing("test_effects", brief_recording, 0.05):
-        options = ("--idle", 1, "--model", prior, "--json", tmp_path / "live.json")
+        options = ("--idle", 1, "--model", prior, "--details", "--json", tmp_path / "live.json")
         listen("test_effects", tmp_path, *options)
-    run("estimate", brief_recording, "--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json")
+    given = ("--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json", "--details")
+    run("estimate", brief_recording, *given)
     for name in ("live.json", "o.json"):
         answers.append(json.loads((tmp_path / name).read_text()))
         hold("estimate", answers[-1])
@@ -272,7 +273,7 @@ def test_listen_estimates_the_effects_of_a_model(
     assert load_model(tmp_path / "live.toml").effects == load_model(tmp_path / "o.toml").effects
     said = capsys.readouterr().out
     assert said.count("significance") == 2
-    assert run("estimate", brief_recording, "-o", tmp_path / "o.toml") == 0
+    assert run("estimate", brief_recording, "-o", tmp_path / "o.toml", "--details") == 0
     assert "significance" not in capsys.readouterr().out
 
 
@@ -438,7 +439,10 @@ def test_what_estimate_says(brief_recording: Path, tmp_path: Path, capsys: pytes
     assert run("estimate", damaged, "--arm", EXAMPLE / "arm.toml", "-o", tmp_path / "m.toml", "--json", numbers) == 0
     said = capsys.readouterr().out
     assert "1 cycle dropped, 1 frame rejected" in said
-    assert "2 arcs, 0 dropped" in said
+    assert "arcs: 2, 0 dropped" in said
+    assert len(said.splitlines()) <= 10 and said.startswith("valid: ")
+    assert run("estimate", damaged, "--arm", EXAMPLE / "arm.toml", "-o", tmp_path / "m.toml", "--details") == 0
+    assert "stiffness, elbow" in capsys.readouterr().out
     content = json.loads(numbers.read_text())
     covariance = np.array(content["covariance"])
     sigma = np.array([parameter["sigma"] for parameter in content["parameters"]])
@@ -481,7 +485,7 @@ def test_check_of_a_run_without_an_instant(
     bus.write_log(tmp_path / "run.blf", frames, 0.05)
     change = ("node = 1\n", "node = 9\n") if count == 0 else ("node = 1\n", "node = 1\n")
     arm = example_with(tmp_path / "example", "arm.toml", change)
-    assert run("check", tmp_path / "run.blf", "--arm", arm) == 3
+    assert run("check", tmp_path / "run.blf", "--arm", arm, "--details") == 3
     said = capsys.readouterr()
     assert "too few accepted instants; remedy" in said.err
     assert "fault counters" in said.out
@@ -503,7 +507,7 @@ def test_a_run_at_rest_is_undecided(
     assert run("simulate", scenario, "-o", log, noise) == 0
     assert run("estimate", log, "-o", tmp_path / "m.toml") == 3
     capsys.readouterr()
-    assert run("check", log) == 3
+    assert run("check", log, "--details") == 3
     said = capsys.readouterr()
     assert "no solution to compare" in said.err
     assert "bandwidth test" in said.out

@@ -379,13 +379,13 @@ def test_a_foreign_table_and_the_cycle_door(
     assert convert(tmp_path / f"my{suffix}", out, map_file=map_file) == 0
     assert "output: table of cycles" in capsys.readouterr().out
     assert run("estimate", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
-    assert "valid · input: table of cycles" in capsys.readouterr().out
+    assert "input: table of cycles" in capsys.readouterr().out
     content = json.loads((tmp_path / "m.json").read_text())
     assert content["door"] == "cycle"
     values = np.array([parameter["value"] for parameter in content["parameters"]])
     assert np.allclose(values, native(arm, cycles).value, rtol=1e-9)
     assert run("check", out, "--json", tmp_path / "check.json") == 0
-    assert "input: table of cycles" in capsys.readouterr().out
+    assert capsys.readouterr().out.startswith("equal: ")
     report = json.loads((tmp_path / "check.json").read_text())
     assert report["door"] == "cycle"
     assert report["rooms"][0]["room"] == "smoother"

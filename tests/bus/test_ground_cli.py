@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_several_runs_a_validation_and_a_prediction(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = run("estimate", folder / "a.blf", folder / "b.log", "--validate", folder / "c.npz", "-o", folder / "m.toml",
-               "--json", folder / "m.json")  # fmt: skip
+               "--json", folder / "m.json", "--details")  # fmt: skip
     said = capsys.readouterr()
     assert code == 0, said.err
     assert "2 runs" in said.out and "from" in said.out

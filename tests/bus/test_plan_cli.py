@@ -89,7 +89,7 @@ def springs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_motions_are_ranked_by_the_bound(springs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = (springs / "arm.toml", "--model", springs / "model.toml", springs / "short.toml", springs / "long.toml")
     given = ("--json", springs / "plan.json", "--report", springs / "plan.html")
-    assert run("plan", *files, "--by", "bound", *given) == 0
+    assert run("plan", *files, "--by", "bound", *given, "--details") == 0
     table = capsys.readouterr().out
     content = json.loads((springs / "plan.json").read_text())
     page = (springs / "plan.html").read_text()

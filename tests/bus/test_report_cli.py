@@ -19,21 +19,22 @@ from cli_support import run
 
 from conftest import EXAMPLE
 from zygos.arm import load_arm
+from zygos.audit import sections as audit
 from zygos.audit.findings import Audit, SignalFault
-from zygos.audit.page import write_audit_report
 from zygos.can import bus
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
+from zygos.estimation import sections as estimation
 from zygos.estimation.estimate import Estimation
 from zygos.estimation.ledger import balance
-from zygos.estimation.page import write_estimate_report
 from zygos.estimation.watch import Watch
 from zygos.model.model import load_model
 from zygos.native.flight import Drift, Flight, LeftOut
 from zygos.reference import compare
+from zygos.reference import sections as reference
 from zygos.reference.check import Check
 from zygos.reference.compare import Room
-from zygos.reference.page import write_check_report
+from zygos.report.html import write_page
 from zygos.report.provenance import Provenance
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, smooth
@@ -251,7 +252,8 @@ def test_a_change_and_arcs_that_were_left_out_are_told(recording: Path, tmp_path
     result = replace(watch.flight.estimate(), left_out=(1, 0, 0), validity="doubtful", reason="the arm changed")
     file = tmp_path / "page.html"
     found = Estimation(watch, result, drift)
-    write_estimate_report(file, found, NOWHERE, written="nothing", damage=("a frame is missing",))
+    answer = estimation.answer_of(found, written="nothing", damage=("a frame is missing",), draw=True)
+    write_page(file, answer, NOWHERE)
     page = sound(Page(file.read_text(encoding="utf-8")))
     assert "the arm changed after 32 s, in standard deviations: k2 by 9" in page.text
     assert "Remedy: read the warning: the arm changed" in page.text
@@ -269,11 +271,12 @@ def test_names_cannot_break_the_pages(brief_recording: Path, tmp_path: Path) -> 
     files = [tmp_path / f"{k}.html" for k in range(3)]
     hostile_run = Run(arm, table=watch.trace().cycles, damage=(HOSTILE,))
     result = replace(watch.flight.estimate(), validity="doubtful", reason=HOSTILE)
-    write_estimate_report(files[0], Estimation(watch, result, None), source, written=HOSTILE, damage=(HOSTILE,))
+    estimate = Estimation(watch, result, None)
+    write_page(files[0], estimation.answer_of(estimate, written=HOSTILE, damage=(HOSTILE,), draw=True), source)
     found = Check(hostile_run, watch.flight, (Room(HOSTILE, 1, 1.0, None, 0.0),))
-    write_check_report(files[1], found, source, (HOSTILE,))
-    audit = Audit((), (SignalFault(HOSTILE, HOSTILE, HOSTILE, HOSTILE),), (), {HOSTILE: 1.0}, (HOSTILE,))
-    write_audit_report(files[2], hostile_run, audit, source)
+    write_page(files[1], reference.answer_of(found, draw=True), source)
+    seen = Audit((), (SignalFault(HOSTILE, HOSTILE, HOSTILE, HOSTILE),), (), {HOSTILE: 1.0}, (HOSTILE,))
+    write_page(files[2], audit.answer_of(hostile_run, seen, draw=True), source)
     for file in files:
         page = sound(Page(file.read_text(encoding="utf-8")))
         assert HOSTILE not in page.source

@@ -17,13 +17,14 @@ from pendulum_support import recordings
 
 from zygos.can.run import Run
 from zygos.errors import ZygosError
-from zygos.gap.ground.answer import as_json
+from zygos.gap.ground.content import as_json
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.ground.explanation import GroundExplanation
-from zygos.gap.ground.page import write_ground_gap_report
+from zygos.gap.ground.sections import answer_of
 from zygos.gap.verdicts import PlainEstimate
 from zygos.ground.score import score
 from zygos.model.model import Model, Quantity
+from zygos.report.html import write_page
 from zygos.report.provenance import provenance
 from zygos.reports import write_report
 
@@ -244,7 +245,7 @@ def test_what_is_no_arm_on_the_ground_is_refused() -> None:
 def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
     x = _bent()
     source = provenance(["explain"], [])
-    write_ground_gap_report(tmp_path / "gap.html", x, source)
+    write_page(tmp_path / "gap.html", answer_of(x, draw=True), source)
     page = (tmp_path / "gap.html").read_text()
     assert "part named" in page
     assert "median of the torque left over the rate" in page

@@ -19,10 +19,10 @@ from zygos.gap.experiment import Experiment
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Deflection, Gap
-from zygos.gap.page import write_gap_report
 from zygos.gap.record import read_measured_run
 from zygos.gap.remainder import far_off
 from zygos.gap.residuals import as_delivered
+from zygos.gap.sections import answer_of
 from zygos.gap.sentences import motion
 from zygos.gap.torque import joint_torques
 from zygos.gap.verdicts import (
@@ -39,6 +39,7 @@ from zygos.gap.verdicts import (
 )
 from zygos.native.flight import encode
 from zygos.report.figures import figure
+from zygos.report.html import write_page
 from zygos.report.provenance import Provenance
 
 HASHES = tuple(f"{k:x}" * 64 for k in range(1, 6))
@@ -93,7 +94,7 @@ class Page(HTMLParser):
         self._numbers = False
         self._silent = False
         path = folder / "gap.html"
-        write_gap_report(path, found, provenance)
+        write_page(path, answer_of(found, draw=True), provenance)
         self.source = path.read_text(encoding="utf-8")
         self.feed(self.source)
         self.text = " ".join(" ".join(self.said).split())
@@ -111,8 +112,8 @@ class Page(HTMLParser):
         attributes = dict(attrs)
         if "data-chart" in attributes:
             self.figures.append(attributes["data-chart"] or "")
-        if "data-gap" in attributes:
-            self.gap.append((attributes["data-gap"] or "", ""))
+        if "data-key" in attributes:
+            self.gap.append((attributes["data-key"] or "", ""))
             self._numbers = True
 
     def handle_endtag(self, tag: str) -> None:

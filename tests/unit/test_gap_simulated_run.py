@@ -16,7 +16,7 @@ from zygos.dynamics.equations import from_model
 from zygos.dynamics.replay import exact_readings, replay, substeps
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.answer import simulation_json
+from zygos.gap.content import simulation_json
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.runs import explain_runs
 from zygos.runs.cycles import Cycles

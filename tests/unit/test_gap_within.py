@@ -14,9 +14,9 @@ from oracles.arms import Plant
 from oracles.tree import Payload
 from zygos.dynamics.equations import from_model
 from zygos.errors import Undecided
-from zygos.gap.answer import change_json
 from zygos.gap.balances import Layout
 from zygos.gap.changes import BODIES, find_change, settled
+from zygos.gap.content import change_json
 from zygos.gap.explain import explain
 from zygos.gap.record import MeasuredRun
 from zygos.gap.study import begin, part_of, read_hypothesis, zeroed

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from ground_support import recorded, short_arm
 
+from zygos.gap.predict import predict
+from zygos.gap.prediction import answer_of
 from zygos.ground.estimate import GroundEstimate, estimate_ground
-from zygos.ground.page import write_ground_report, write_score_report
-from zygos.ground.score import score
+from zygos.ground.sections import estimate_answer
 from zygos.model.model import Model
+from zygos.report.html import write_page
 from zygos.report.provenance import Provenance
 
 NOWHERE = Provenance("zygos estimate", "1.2.3", ())
@@ -35,7 +36,7 @@ def _data(text: str) -> dict[str, Any]:
 
 def test_an_estimate_shows_what_it_says(tmp_path: Path) -> None:
     found, _ = _found()
-    write_ground_report(tmp_path / "page.html", found, NOWHERE, written="learned.toml written")
+    write_page(tmp_path / "page.html", estimate_answer(found, written="learned.toml written", draw=True), NOWHERE)
     text = (tmp_path / "page.html").read_text()
     assert f'<span class="tag {"good" if found.validity == "valid" else "open"}">{found.validity}</span>' in text
     assert "learned.toml written" in text
@@ -60,7 +61,7 @@ def test_a_refusal_has_its_reason_and_no_values(tmp_path: Path) -> None:
     solution = replace(found.solution, held_out=3.0 * found.solution.measured, seen=np.zeros_like(found.solution.seen))
     refused = replace(found, solution=solution, validated=(), doubtful=False)
     assert refused.validity == "refused"
-    write_ground_report(tmp_path / "page.html", refused, NOWHERE, written="no model written")
+    write_page(tmp_path / "page.html", estimate_answer(refused, written="no model written", draw=True), NOWHERE)
     text = (tmp_path / "page.html").read_text()
     assert "worse than none would" in text
     assert "<b>Remedy:</b> check signs" in text
@@ -72,19 +73,15 @@ def test_a_hostile_name_stays_text(tmp_path: Path) -> None:
     found, _ = _found()
     hostile = "</script><script>alert(1)</script>"
     arm = replace(found.arm, name=hostile)
-    write_ground_report(tmp_path / "page.html", replace(found, arm=arm), NOWHERE, written=hostile)
+    write_page(tmp_path / "page.html", estimate_answer(replace(found, arm=arm), written=hostile, draw=True), NOWHERE)
     assert hostile not in (tmp_path / "page.html").read_text()
 
 
 def test_predictions_of_two_runs(tmp_path: Path) -> None:
     found, model = _found()
-    scores = [score(run, model) for run in found.runs]
-    write_score_report(tmp_path / "page.html", scores, NOWHERE)
+    write_page(tmp_path / "page.html", answer_of([predict(model, run) for run in found.runs], draw=True), NOWHERE)
     text = (tmp_path / "page.html").read_text()
     assert 'id="run-1"' in text
     assert 'id="run-2"' in text
     assert 'id="parameters"' not in text
     assert len(_data(text)["charts"]) == 4 * found.arm.n
-    with pytest.raises(IndexError):
-        write_score_report(tmp_path / "none.html", [], NOWHERE)
-    assert not (tmp_path / "none.html").exists()

@@ -9,7 +9,7 @@ from conftest import ROOT
 from zygos import limits
 
 GAP = ROOT / "harness" / "zygos" / "gap"
-DRAWN = {"charts.py", "page.py", "picture.py"}
+DRAWN = {"charts.py", "picture.py", "sections.py"}
 """Modules whose numbers are those of a drawing."""
 PLAIN = {0, 1, 2, 3, 4, 5, 9, 10, 26, 50, 0.5, 6, 12, 100, 1000, 1e-6, 1e-300}
 """Numbers that are no limits: places, orders, halves, medians, letters and digits, the ten elements of a body, the

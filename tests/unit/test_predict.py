@@ -7,11 +7,11 @@ from dataclasses import replace
 import ground_support
 import numpy as np
 import pytest
-from conftest import ROOT
 from ground_support import recorded, short_arm
 from numpy.typing import NDArray
 from runs_support import trajectory_of
 
+from conftest import ROOT
 from zygos.arm import Arm, load_arm
 from zygos.can.run import Run
 from zygos.gap.predict import predict

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from zygos.audit.answer import as_json
 from zygos.audit.auditor import audit
 from zygos.audit.findings import Audit, Signal, SignalFault
+from zygos.audit.sections import as_json
 from zygos.audit.traffic import traffic_of
 from zygos.can.run import Run
 

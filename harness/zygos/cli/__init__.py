@@ -19,7 +19,11 @@ COMMANDS = {
     "bound": ("bound", "Compute the smallest standard deviations that any estimator can have from a motion."),
     "estimate": ("estimate", "Estimate the parameters from one or several runs of an arm."),
     "refine": ("refine", "Refine the parameters of an arm up to what its frames tell at most."),
-    "predict": ("predict", "Compare the torques of runs with those that a model predicts, joint by joint."),
+    "predict": (
+        "predict",
+        "Compare runs with what a model predicts of them: the torques of each joint, and the motion half a second "
+        "ahead.",
+    ),
     "check": ("check", "Compare the C library with numpy on a run, stage by stage."),
     "check-arm": (
         "check_arm",

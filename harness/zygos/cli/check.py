@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -10,21 +11,13 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.options import ArmFile, Json, Report, Run
-from zygos.cli.shared import not_whole, origin, read_run
+from zygos.cli.options import ArmFile, Details, Json, Report, Run
+from zygos.cli.shared import Wanted, deliver, not_whole, origin, read_run
 from zygos.errors import Undecided
-from zygos.files.output import (
-    bad,
-    check_outputs,
-    good,
-    number,
-    quiet,
-    say,
-    table,
-    write_json,
-)
+from zygos.files.output import check_outputs
 from zygos.model.model import load_model
 from zygos.reference.check import check
+from zygos.reference.sections import answer_of
 from zygos.report.provenance import provenance
 
 
@@ -32,41 +25,23 @@ def check_run(
     run: Path,
     arm_file: Path | None,
     model_file: Path | None,
-    json: str | None,
-    report: Path | None,
+    wanted: Wanted,
     command: Sequence[str],
 ) -> None:
     """Compare C with numpy on a run; see `zygos check --help`."""
     chosen = find_arm(run, arm_file)
-    check_outputs([json, report], [run, chosen, run.parent / "arm.toml", model_file])
+    check_outputs([wanted.json, wanted.report], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
     effects = load_model(model_file).effects if model_file else ()
     recorded = read_run(run, arm)
     found = check(recorded, effects=effects)
-    if json:
-        write_json(json, {**origin(recorded), **found.as_dict()})
-    if report is not None:
-        from zygos.reference.page import write_check_report  # noqa: PLC0415  (only a report needs charts)
-
-        files = [("run", run), ("arm", chosen), *([("model", model_file)] if model_file else [])]
-        write_check_report(report, found, provenance(command, files), damage=recorded.damage)
-    if not quiet(json, report):
-        table(
-            ("stage", "compared", "largest difference", "at cycle", "tolerance", ""),
-            [
-                (
-                    room.name,
-                    f"{room.compared:,}",
-                    number(room.difference, 2),
-                    "–" if room.cycle is None else str(room.cycle),
-                    number(room.tolerance, 2),
-                    good("equal") if room.equal else bad("differs"),
-                )
-                for room in found.stages
-            ],
-        )
-        if recorded.frames is None:
-            say("input: table of cycles")
+    files = [("run", run), ("arm", chosen), *([("model", model_file)] if model_file else [])]
+    deliver(
+        wanted,
+        lambda draw: answer_of(found, draw=draw),
+        lambda: {**origin(recorded), **found.as_dict()},
+        partial(provenance, command, files),
+    )
     if found.undecided is not None:
         raise Undecided("; remedy: ".join(found.undecided))
     not_whole(recorded.damage)
@@ -82,6 +57,7 @@ def command(
     ] = None,
     json: Json = None,
     report: Report = None,
+    details: Details = False,
 ) -> None:
     """Compare the C library with numpy on a run, stage by stage.
 
@@ -94,4 +70,4 @@ def command(
 
     Example: zygos check out/run.blf
     """
-    check_run(run, arm, model, json, report, context.obj or ["check"])
+    check_run(run, arm, model, Wanted(json, report, details), context.obj or ["check"])

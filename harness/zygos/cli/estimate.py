@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,10 +13,9 @@ import typer
 from zygos.arm import load_arm
 from zygos.can.run import Run as RecordedRun
 from zygos.can.run import find_arm, joined
-from zygos.cli.answer import finish_estimate
-from zygos.cli.ground import finish_ground, finish_payload
-from zygos.cli.options import ArmFile, Json, Report, Runs
-from zygos.cli.shared import check_model_name, not_whole, origin, read_runs
+from zygos.cli.estimated import finish_estimate, finish_ground, finish_payload
+from zygos.cli.options import ArmFile, Details, Json, Report, Runs
+from zygos.cli.shared import Wanted, check_model_name, not_whole, origin, read_runs
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.estimation.estimate import estimate
@@ -25,7 +25,7 @@ from zygos.ground.estimate import estimate_ground
 from zygos.ground.payload import payload
 from zygos.ground.rows import friction
 from zygos.model.model import load_model
-from zygos.report.provenance import provenance
+from zygos.report.provenance import Provenance, provenance
 
 FRICTIONS = {
     "coulomb": ("motor_coulomb",),
@@ -64,8 +64,7 @@ def estimate_runs(
     arm_file: Path | None,
     out: Path,
     model_file: Path | None,
-    json: str | None,
-    report: Path | None,
+    wanted: Wanted,
     command: Sequence[str],
     flight: bool,
     ground: GroundOptions,
@@ -74,14 +73,17 @@ def estimate_runs(
     chosen = find_arm(runs[0], arm_file)
     check_model_name(out)
     inputs = [*runs, chosen, runs[0].parent / "arm.toml", model_file, *ground.validate, ground.since]
-    check_outputs([out, json, report], inputs)
+    check_outputs([out, wanted.json, wanted.report], inputs)
     arm = load_arm(chosen)
     prior = load_model(model_file) if model_file else None
     on_ground = arm.grounded and not flight
     recorded = read_runs([*runs, *ground.validate], arm_file, chosen, arm, own_noise=on_ground)
     learned, checked = recorded[: len(runs)], recorded[len(runs) :]
+    files = [*(("run", path) for path in runs), ("arm", chosen), *(("validated", path) for path in ground.validate)]
+    files += [(role, path) for role, path in (("prior", model_file), ("since", ground.since)) if path is not None]
+    source = partial(provenance, command, files)
     if on_ground and ground.since is not None:
-        _payload(learned, ground, out, model_file, json, report)
+        _payload(learned, ground, out, model_file, wanted, source)
         not_whole(*(run.damage for run in learned))
         return
     if on_ground:
@@ -96,15 +98,7 @@ def estimate_runs(
                 doubtful=ground.doubtful,
                 progress=lambda share: bar.update(task, completed=share),
             )
-        source = None
-        if report is not None:
-            files = [
-                *(("run", path) for path in runs),
-                ("arm", chosen),
-                *(("validated", path) for path in ground.validate),
-            ]
-            source = provenance(command, [*files, *([("prior", model_file)] if model_file else [])])
-        finish_ground(found, out, json, report, source)
+        finish_ground(found, out, wanted, source)
         not_whole(*(run.damage for run in recorded))
         return
     if ground.given:
@@ -117,13 +111,9 @@ def estimate_runs(
     with progress() as bar:
         task = bar.add_task("learning", total=1.0)
         answer = estimate(
-            run, model=prior, progress=lambda share: bar.update(task, completed=share), trace=report is not None
+            run, model=prior, progress=lambda share: bar.update(task, completed=share), trace=wanted.report is not None
         )
-    source = None
-    if report is not None:
-        files = [*(("run", path) for path in runs), ("arm", chosen), *([("prior", model_file)] if model_file else [])]
-        source = provenance(command, files)
-    finish_estimate(answer, out, json, origin(run), report, source)
+    finish_estimate(answer, out, origin(run), wanted, source)
     not_whole(*(one.damage for one in learned))
 
 
@@ -132,8 +122,8 @@ def _payload(
     ground: GroundOptions,
     out: Path,
     model_file: Path | None,
-    json: str | None,
-    report: Path | None,
+    wanted: Wanted,
+    source: Callable[[], Provenance],
 ) -> None:
     """Estimate the payload since a model was made."""
     beside = {
@@ -141,7 +131,7 @@ def _payload(
         "--friction": ground.friction,
         "--doubtful": ground.doubtful,
         "--model": model_file,
-        "--report": report,
+        "--report": wanted.report,
     }
     given = [name for name, value in beside.items() if value]
     if given:
@@ -150,7 +140,7 @@ def _payload(
             f"leave {'it' if len(given) == 1 else 'them'} out"
         )
     assert ground.since is not None
-    finish_payload(payload(runs, load_model(ground.since)), out, json)
+    finish_payload(payload(runs, load_model(ground.since)), out, wanted, source)
 
 
 def _friction(run: RecordedRun, text: str) -> tuple[Effect, ...]:
@@ -212,6 +202,7 @@ def command(
     ] = False,
     json: Json = None,
     report: Report = None,
+    details: Details = False,
 ) -> None:
     """Estimate the parameters from one or several runs of an arm.
 
@@ -240,8 +231,7 @@ def command(
         arm,
         out,
         model,
-        json,
-        report,
+        Wanted(json, report, details),
         context.obj or ["estimate"],
         flight,
         GroundOptions(validate or (), friction, doubtful, since),

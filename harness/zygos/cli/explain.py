@@ -2,39 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from zygos import limits
 from zygos.arm import load_arm
 from zygos.can.run import Run, check_distinct, find_arm, read_run
-from zygos.cli.options import ArmFile, Json
-from zygos.cli.shared import arm_beside, check_model_name, not_whole, warn
+from zygos.cli.options import ArmFile, Details, Json
+from zygos.cli.shared import Wanted, arm_beside, check_model_name, deliver, not_whole, warn
 from zygos.effects import estimated, laws
 from zygos.errors import Undecided, ZygosError
-from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
+from zygos.files.output import check_outputs, named, number
 from zygos.files.progress import progress
-from zygos.gap.answer import as_json, planned_json, predictions
+from zygos.gap import sections
+from zygos.gap.content import as_json, planned_json
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import Value, undecided
-from zygos.gap.ground.answer import as_json as ground_json
-from zygos.gap.ground.answer import predicted_errors
+from zygos.gap.findings import undecided
+from zygos.gap.ground import sections as ground_sections
+from zygos.gap.ground.content import as_json as ground_json
 from zygos.gap.ground.explanation import GroundExplanation
-from zygos.gap.ground.search import false_alarms, threshold
-from zygos.gap.ground.sentences import after_gear
-from zygos.gap.ground.sentences import against as ground_against
 from zygos.gap.record import letter
 from zygos.gap.runs import check_arm_of_gap, check_keys, explain_runs, plan_next
-from zygos.gap.sentences import against, asked_of_candidates
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
 from zygos.plan.limits import Limits, limits_of
 from zygos.plan.separating import Separating
+from zygos.report.answer import Answer
 from zygos.report.provenance import Provenance, provenance
 from zygos.simulation.scenario import save_scenario
 
@@ -72,8 +70,7 @@ def explain_run(
     validate: Sequence[Path],
     arm_file: Path | None,
     out: Path,
-    report: Path | None,
-    json: str | None,
+    wanted: Wanted,
     command: Sequence[str],
     effects: Sequence[Path] = (),
     without: Sequence[str] = (),
@@ -82,7 +79,7 @@ def explain_run(
     """Explain the gap between a simulation and measured runs; see `zygos explain --help`."""
     with laws(*effects):
         check_keys(without)
-        _explain_run(simulation, measured, validate, arm_file, out, report, json, command, without, planned)
+        _explain_run(simulation, measured, validate, arm_file, out, wanted, command, without, planned)
 
 
 def _explain_run(
@@ -91,8 +88,7 @@ def _explain_run(
     validate: Sequence[Path],
     arm_file: Path | None,
     out: Path,
-    report: Path | None,
-    json: str | None,
+    wanted: Wanted,
     command: Sequence[str],
     without: Sequence[str],
     planned: Planned | None,
@@ -103,7 +99,8 @@ def _explain_run(
     if planned is not None:
         check_model_name(planned.file)
     check_outputs(
-        [out, report, json, planned.file if planned is not None else None], [path for _, path in inputs.files]
+        [out, wanted.report, wanted.json, planned.file if planned is not None else None],
+        [path for _, path in inputs.files],
     )
     arm = load_arm(inputs.arm)
     for run in runs:
@@ -138,10 +135,8 @@ def _explain_run(
         if planned is not None and undecided(found.findings):
             bar.update(task, description="the next motion")
             motion = _next(found, planned, limits, inputs)
-    if planned is not None and not quiet(out, report, json):
-        say(_planned(found, planned, motion))
-    source = provenance(command, inputs.files)
-    finish(found, logs, inputs, source, out, report, json, motion)
+    said = [] if planned is None else [_planned(found, planned, motion)]
+    finish(found, logs, inputs, partial(provenance, command, inputs.files), out, wanted, said, motion)
     not_whole(*(log.damage for log in logs))
 
 
@@ -208,170 +203,52 @@ def flown(found: Explanation | GroundExplanation, logs: Sequence[Run]) -> list[d
     return out
 
 
+def beside(found: Explanation | GroundExplanation, flight: Sequence[dict[str, Any]]) -> list[str]:
+    """What the flight library says of the effects that were found, in words."""
+    if isinstance(found, GroundExplanation):
+        return []
+    lacking = unflown(found)
+    out = [f"the flight library has no column for {', '.join(lacking)}: not estimated on board"] if lacking else []
+    for column in dict.fromkeys(str(entry["column"]) for entry in flight):
+        each = [
+            f"{number(e['value'], 4)} ± {number(e['half95'], 2)} {e['unit']} on run {e['run']}"
+            if np.isfinite(e["value"])
+            else f"no value on run {e['run']}"
+            for e in flight
+            if e["column"] == column
+        ]
+        out.append(f"estimate of the flight library: {column} = {', '.join(each)}")
+    return out
+
+
 def finish(
     found: Explanation | GroundExplanation,
     logs: Sequence[Run],
     inputs: Inputs,
-    source: Provenance,
+    source: Callable[[], Provenance],
     out: Path,
-    report: Path | None,
-    json: str | None,
-    motion: Separating | None = None,
+    wanted: Wanted,
+    said: Sequence[str],
+    motion: Separating | None,
 ) -> None:
-    """Print the tables, write the requested files, and raise Undecided if nothing is named."""
+    """Deliver the answer, and raise Undecided if no model is written. said: what became of the next motion."""
     flight = flown(found, logs[: len(inputs.measured)])
-    if not quiet(out, report, json):
+    remarks = [*beside(found, flight), *said]
+    damage = [text for log in logs for text in log.damage]
+    model = found.model
+
+    def answer(draw: bool) -> Answer:
         if isinstance(found, GroundExplanation):
-            show_ground(found)
-        else:
-            show(found)
-            if unflown(found):
-                say(f"the flight library has no column for {', '.join(unflown(found))}: not estimated on board")
-        for column in dict.fromkeys(entry["column"] for entry in flight):
-            each = [
-                f"{number(e['value'], 4)} ± {number(e['half95'], 2)} {e['unit']} on run {e['run']}"
-                for e in flight
-                if e["column"] == column
-            ]
-            say(f"estimate of the flight library: {column} = {', '.join(each)}")
-        say(f"{found.answer}: {found.sentence}")
-    try:
-        if found.model is not None:
-            save_model(found.model, out)
-        if report is not None:
-            # only a report needs charts
-            if isinstance(found, GroundExplanation):
-                from zygos.gap.ground.page import write_ground_gap_report  # noqa: PLC0415
+            return ground_sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
+        return sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
 
-                write_ground_gap_report(report, found, source, motion)
-            else:
-                from zygos.gap.page import write_gap_report  # noqa: PLC0415
+    def content() -> dict[str, Any]:
+        own = ground_json(found, source()) if isinstance(found, GroundExplanation) else as_json(found, source())
+        return {**own, "next_motion": planned_json(motion), "flight": flight, "damage": damage or None}
 
-                write_gap_report(report, found, source, motion)
-    finally:
-        if json:
-            damage = [text for log in logs for text in log.damage]
-            content = ground_json(found, source) if isinstance(found, GroundExplanation) else as_json(found, source)
-            write_json(
-                json, {**content, "next_motion": planned_json(motion), "flight": flight, "damage": damage or None}
-            )
-    if found.model is None:
+    deliver(wanted, answer, content, source, out, save=None if model is None else lambda: save_model(model, out))
+    if model is None:
         raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
-
-
-def show(found: Explanation) -> None:
-    """Print the tables of a verdict. Where nothing is left over, no candidate explains anything."""
-    null = found.answer in {"nothing missing", "values differ"}
-    if found.search is not None:
-        listed = found.search.rounds[0][:6]
-        runs = range(len(found.refit.records))
-        table(
-            (
-                "candidate",
-                *(f"run {letter(k)}" for k in runs),
-                "unit",
-                *(f"z {letter(k)}" for k in runs),
-                "explains %",
-                "seen from",
-                "",
-            ),
-            [
-                (
-                    c.name,
-                    *(number(x, 4) for x in c.each),
-                    c.kind.unit,
-                    *(f"{z:.1f}" for z in c.z),
-                    "–" if null else f"{100 * max(0.0, c.complete):.1f}",
-                    number(c.limit, 2),
-                    "named" if c in found.search.named else against(c) or "explains less",
-                )
-                for c in listed
-            ],
-            title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
-        )
-        luck = found.search.chance
-        say(asked_of_candidates(luck.threshold, luck.false_alarms, "on every run"))
-        if found.search.beyond:
-            places = len({(one.kind.key, one.joint) for one in found.search.beyond})
-            say(
-                f"nothing is left over, so that {places} entries of the catalogue were not searched; --report and "
-                "--json have the sizes from which on they would be"
-            )
-    show_values(found.values)
-    if found.gap is not None:
-        table(
-            ("gap on the untouched run", "rms, sigma", "median", "90th percentile"),
-            [
-                (name, number(one.gap, 4), number(one.median, 4), number(one.tenth, 4))
-                for name, one in predictions(found.gap)
-            ],
-        )
-    say(found.where)
-    for note in found.notes:
-        say(f"note: {note}")
-
-
-def show_values(values: Sequence[Value]) -> None:
-    """Print the values that differ from those of the simulation."""
-    changed = [v for v in values if v.differs]
-    if changed:
-        table(
-            ("value", "unit", "simulation", "found", "± 95 %", "change %"),
-            [
-                (
-                    v.name,
-                    v.unit,
-                    number(v.delivered),
-                    number(v.found),
-                    number(limits.INTERVAL_Z.value * v.sigma, 2),
-                    f"{100 * v.change:+.2f}" if np.isfinite(v.change) else "–",
-                )
-                for v in changed
-            ],
-        )
-
-
-def show_ground(found: GroundExplanation) -> None:
-    """Print the tables of a verdict on an arm on the ground."""
-    if found.search.rounds:
-        listed = found.search.rounds[0][:6]
-        table(
-            ("candidate", *(f"run {letter(k)}" for k in range(len(listed[0].each))), "unit", "z", "explains %", ""),
-            [
-                (c.name, *(number(x, 4) for x in c.each), c.candidate.unit, f"{c.z:.1f}", f"{100 * c.explained:.1f}",
-                 ground_against(c))
-                for c in listed
-            ],
-            title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
-        )  # fmt: skip
-        count = len(found.search.rounds[0])
-        say(asked_of_candidates(threshold(count), false_alarms(count), "on all runs together"))
-    if found.findings:
-        table(
-            ("found", "joint", "value", "± 95 %", "unit", "after the gear", "not told from"),
-            [
-                (f.title, f.joint or "", number(f.value, 4), number(limits.INTERVAL_Z.value * f.sigma, 2), f.unit,
-                 after_gear(found.arm, f) or "the same", ", ".join(f.instead))
-                for f in found.findings
-            ],
-        )  # fmt: skip
-    show_values(found.values)
-    if found.gap is not None:
-        gap = found.gap
-        table(
-            (
-                "error of predictions, untouched runs",
-                "energy over 1 s, %",
-                *(f"{j.name}, Nm" for j in found.arm.joints),
-            ),
-            [
-                (name, number(100 * share, 3), *(number(x, 3) for x in torques))
-                for name, share, torques in predicted_errors(gap)
-            ],
-        )
-    say(found.where)
-    for text in found.notes:
-        say(f"note: {text}")
 
 
 def command(
@@ -436,6 +313,7 @@ def command(
     ] = None,
     rate: Annotated[str | None, typer.Option(metavar="RAD/S", help="Its largest rate. Default: likewise.")] = None,
     torque: Annotated[str | None, typer.Option(metavar="NM", help="Its largest torque. Default: likewise.")] = None,
+    details: Details = False,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, add it, and show how the gap shrinks.
 
@@ -462,5 +340,14 @@ def command(
         )
     planned = None if next_motion is None else Planned(next_motion, limits)
     explain_run(
-        simulation, measured, validate or (), arm, out, report, json, asked, effects or (), without or (), planned
+        simulation,
+        measured,
+        validate or (),
+        arm,
+        out,
+        Wanted(json, report, details),
+        asked,
+        effects or (),
+        without or (),
+        planned,
     )

@@ -15,7 +15,7 @@ from zygos.cli.options import Json
 from zygos.cli.shared import check_model_name
 from zygos.effects import Effect
 from zygos.errors import Undecided, ZygosError
-from zygos.estimation.answer import learned
+from zygos.estimation.sections import learned
 from zygos.files.inputs import local
 from zygos.files.output import check_outputs, number, quiet, say, table, write_json
 from zygos.files.progress import progress

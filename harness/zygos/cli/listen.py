@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import can
 import numpy as np
@@ -15,12 +16,12 @@ from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.can.dbc import arm_database
 from zygos.can.rounds import Telemetry
-from zygos.cli.answer import finish_estimate
+from zygos.cli.estimated import finish_estimate
 from zygos.cli.onboard import report_refined
-from zygos.cli.options import Bitrate, ChannelOption, Interface, Json
-from zygos.cli.shared import check_model_name
+from zygos.cli.options import Bitrate, ChannelOption, Details, Interface, Json
+from zygos.cli.shared import Wanted, check_model_name
 from zygos.errors import Undecided, ZygosError
-from zygos.estimation.estimate import conclude
+from zygos.estimation.estimate import Estimation, conclude
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import losses
 from zygos.files.output import (
@@ -32,6 +33,7 @@ from zygos.files.output import (
 from zygos.files.signals import stop_signals
 from zygos.model.model import Model, load_model
 from zygos.native.flight import Flight
+from zygos.report.provenance import provenance
 
 
 def listen_bus(
@@ -44,11 +46,11 @@ def listen_bus(
     log: Path | None,
     duration: float,
     idle: float,
-    json: str | None,
+    wanted: Wanted,
 ) -> None:
     """Estimate while frames arrive; see `zygos listen --help`."""
     arm = load_arm(arm_file)
-    _check_files(out, log, json, [arm_file, model_file])
+    _check_files(out, log, wanted.json, [arm_file, model_file])
     prior = load_model(model_file) if model_file else None
     flight = (watch := watched(arm, prior)).flight
     telemetry = Telemetry(arm_database(arm, flight.effects))
@@ -108,10 +110,14 @@ def listen_bus(
             recording.finish()
         except ZygosError as error:
             fail(error)
-    refined = report_refined(telemetry, arm, shown=not quiet(out, json))
-    finish_estimate(conclude(watch, prior=prior), out, json, {"bus": where, "door": "frames", "refined": refined})
+    refined = report_refined(telemetry, arm, shown=not quiet(out, wanted.json))
+    _end(conclude(watch, prior=prior), out, {"bus": where, "door": "frames", "refined": refined}, wanted)
     if failures:
         sys.exit(failures[0].exit_code)
+
+
+def _end(found: Estimation, out: Path, heading: dict[str, Any], wanted: Wanted) -> None:
+    finish_estimate(found, out, heading, wanted, partial(provenance, ["listen"], []))
 
 
 def _check_files(out: Path, log: Path | None, json: str | None, inputs: list[Path | None]) -> None:
@@ -158,6 +164,7 @@ def command(
         ),
     ] = 2.0,
     json: Json = None,
+    details: Details = False,
 ) -> None:
     """Listen to a bus and estimate while the frames arrive. Ctrl-C or SIGTERM ends it and writes the estimate so far.
 
@@ -172,4 +179,4 @@ def command(
 
     Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
     """
-    listen_bus(arm, out, model, interface, channel, bitrate, log, duration, idle, json)
+    listen_bus(arm, out, model, interface, channel, bitrate, log, duration, idle, Wanted(json, details=details))

@@ -12,6 +12,7 @@ Report = Annotated[
     Path | None,
     typer.Option("--report", metavar="FILE.html", help="Also write a report, one HTML page."),
 ]
+Details = Annotated[bool, typer.Option("--details", help="Print all tables, not only the verdict.")]
 ArmFile = Annotated[
     Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the run.")
 ]

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -14,15 +13,16 @@ from numpy.typing import NDArray
 from rich.progress import Progress, TaskID
 
 from zygos.arm import Arm, load_arm
-from zygos.cli.options import Json, Report
-from zygos.cli.shared import check_model_name
+from zygos.cli.options import Details, Json, Report
+from zygos.cli.shared import Wanted, check_model_name, deliver
 from zygos.errors import ZygosError
-from zygos.files.output import check_outputs, number, quiet, say, table, write_json
+from zygos.files.output import check_outputs
 from zygos.files.progress import progress
 from zygos.model.model import load_model
 from zygos.plan.expected import Expectation
 from zygos.plan.limits import ANGLE_RAD, RATE_RAD_S, as_number, limits_of, per_joint
 from zygos.plan.planning import Motion, Planner, ranked
+from zygos.plan.sections import answer_of, as_json
 from zygos.plan.simulated import By
 from zygos.report.provenance import provenance
 from zygos.simulation.scenario import load_scenario, save_scenario
@@ -36,15 +36,14 @@ def plan_motion(
     limits: tuple[str | None, str | None, str | None],
     torque_noise: str | None,
     sought: Motion,
-    json: str | None,
-    report: Path | None,
+    wanted: Wanted,
     called: Sequence[str],
     by: By = "energy",
 ) -> None:
     """Rank motions and plan one; see `zygos plan --help`."""
     if out is not None:
         check_model_name(out)
-    check_outputs([out, json, report], [arm_file, model_file, *scenario_files])
+    check_outputs([out, wanted.json, wanted.report], [arm_file, model_file, *scenario_files])
     if out is None and not scenario_files:
         raise ZygosError(
             "there is nothing to do; remedy: name the scenario to write with -o, or scenarios whose motions are ranked"
@@ -68,17 +67,15 @@ def plan_motion(
     ranked(expected)  # refuses motions of which none keeps the limits
     if out is not None:
         save_scenario(planned, out)
-    if not quiet(out, json, report):
-        _tables(expected, by)
-        if out is not None:
-            say(f"{out}: written, {planned.duration_s:g} s; zygos simulate {out} -o RUN")
-    if report is not None:
-        from zygos.plan.page import write_plan_report  # noqa: PLC0415  (only a report needs charts)
-
-        files = [("arm", arm_file), ("model", model_file), *(("scenario", file) for file in scenario_files)]
-        write_plan_report(report, arm, expected, planner.limits, provenance(called, files), by)
-    if json:
-        write_json(json, _answer(arm.name, expected, out, planner))
+    written = f"{out}: written, {planned.duration_s:g} s; zygos simulate {out} -o RUN" if out is not None else ""
+    files = [("arm", arm_file), ("model", model_file), *(("scenario", file) for file in scenario_files)]
+    deliver(
+        wanted,
+        lambda draw: answer_of(expected, planner, written=written, draw=draw),
+        lambda: as_json(expected, planner, str(out) if out else None),
+        partial(provenance, called, files),
+        out,
+    )
 
 
 def _update(bar: Progress, task: TaskID, share: float) -> None:
@@ -93,90 +90,6 @@ def _torque_sigma(arm: Arm, given: str | None) -> NDArray[np.float64]:
     return np.array(
         [as_number("torque noise", text) if text else own for text, own in zip(texts.values(), declared, strict=True)]
     )
-
-
-def _tables(expected: Sequence[Expectation], by: By) -> None:
-    bound = by == "bound"
-    rows = [
-        (column.name, column.unit, number(column.value, 4), *(number(float(one.percent[k]), 3) for one in expected))
-        for k, column in enumerate(expected[0].columns)
-    ]
-    table(("parameter", "unit", "model", *(f"{one.name} σ in %" for one in expected)), rows)
-    best = ranked(expected)[0]
-    table(
-        (
-            "motion",
-            "mean σ in %" if bound else "mean σ",
-            "worst",
-            "its σ in %",
-            "largest rate, rad/s",
-            "largest torque, Nm",
-            "limits",
-        ),
-        [
-            (
-                one.name,
-                number(one.mean_percent, 3) if bound else f"{math.exp(one.measure - best.measure):.2f}",
-                "–" if one.open else one.columns[one.worst].name,
-                number(float(one.percent[one.worst]), 3),
-                number(float(np.abs(one.rate).max()), 3),
-                number(float(np.abs(one.torque).max()), 3),
-                "exceeded" if one.excess else "kept",
-            )
-            for one in ranked(expected)
-        ],
-    )
-    for one in expected:
-        if one.excess:
-            say(f"{one.name}: {one.excess}")
-        if one.open:
-            say(f"{one.name}: {one.open}")
-    if bound:
-        say("σ: the smallest of any unbiased estimate after one run, in % of the value, or of what it is compared to")
-    else:
-        say("σ: expected after one run, in % of the largest value with the same unit of the same body")
-        say("mean σ: of the arm's parameters, relative to the best motion")
-
-
-def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner: Planner) -> dict[str, Any]:
-    limits = planner.limits
-    return {
-        "arm": arm,
-        "scenario": str(out) if out else None,
-        "rows": "bound" if planner.by == "bound" else "joint" if planner.grounded is not None else "simulated",
-        "ranking": [one.name for one in ranked(expected)],
-        "limits": {
-            "low_rad": limits.low.tolist(),
-            "high_rad": limits.high.tolist(),
-            "rate_rad_s": limits.rate.tolist(),
-            "torque_nm": limits.torque.tolist(),
-        },
-        "motions": [
-            {
-                "name": one.name,
-                "measure": one.measure,
-                "mean_percent": one.mean_percent,
-                "worst": None if one.open else one.columns[one.worst].name,
-                "excess": one.excess,
-                "open": one.open,
-                "largest_rate_rad_s": np.abs(one.rate).max(axis=0).tolist(),
-                "largest_torque_nm": np.abs(one.torque).max(axis=0).tolist(),
-                "parameters": [
-                    {
-                        "name": column.name,
-                        "unit": column.unit,
-                        "value": column.value,
-                        "size": float(size),
-                        "sigma": float(sigma),
-                        "percent": float(percent),
-                        "of_the_arm": column.structural,
-                    }
-                    for column, size, sigma, percent in zip(one.columns, one.size, one.sigma, one.percent, strict=True)
-                ],
-            }
-            for one in expected
-        ],
-    }
 
 
 def command(
@@ -244,6 +157,7 @@ def command(
     ] = "energy",
     json: Json = None,
     report: Report = None,
+    details: Details = False,
 ) -> None:
     """Plan a motion that excites every parameter, or rank given motions by what they tell.
 
@@ -270,8 +184,7 @@ def command(
         (angle, rate, torque),
         torque_noise,
         Motion(period, harmonics, duration, seed, simulations),
-        json,
-        report,
+        Wanted(json, report, details),
         context.obj or ["plan"],
         by,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -9,11 +10,11 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.ground import print_prediction
-from zygos.cli.options import ArmFile, Json, Report, Runs
-from zygos.cli.shared import not_whole, read_runs
-from zygos.files.output import check_outputs, quiet, write_json
+from zygos.cli.options import ArmFile, Details, Json, Report, Runs
+from zygos.cli.shared import Wanted, deliver, not_whole, read_runs
+from zygos.files.output import check_outputs
 from zygos.gap.predict import predict
+from zygos.gap.prediction import answer_of
 from zygos.model.model import load_model
 from zygos.report.provenance import provenance
 
@@ -33,6 +34,7 @@ def command(
     ] = None,
     json: Json = None,
     report: Report = None,
+    details: Details = False,
 ) -> None:
     """Compare runs with what a model predicts of them: the torques of each joint, and the motion half a second ahead.
 
@@ -55,15 +57,11 @@ def command(
     hardware, assumed = load_arm(chosen), load_model(model)
     recorded = read_runs(run, arm, chosen, hardware, own_noise=True)
     predictions = [predict(assumed, one, cutoff=cutoff) for one in recorded]
-    scores = [one.torques for one in predictions]
-    if report is not None:
-        from zygos.ground.page import write_score_report  # noqa: PLC0415  (only a report needs charts)
-
-        files = [*(("run", path) for path in run), ("arm", chosen), ("model", model)]
-        write_score_report(report, scores, provenance(context.obj or ["predict"], files))
-    if json:
-        write_json(json, {"model": str(model), "runs": [one.as_dict() for one in predictions]})
-    if not quiet(json, report):
-        for one in predictions:
-            print_prediction(one)
+    files = [*(("run", path) for path in run), ("arm", chosen), ("model", model)]
+    deliver(
+        Wanted(json, report, details),
+        lambda draw: answer_of(predictions, draw=draw),
+        lambda: {"model": str(model), "runs": [one.as_dict() for one in predictions]},
+        partial(provenance, context.obj or ["predict"], files),
+    )
     not_whole(*(one.damage for one in recorded))

@@ -1,9 +1,9 @@
-"""Steps that several commands share: read a run, report damage, say where an answer is from."""
+"""Steps that several commands share: read a run, report damage, deliver an answer, say where it is from."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,11 @@ from zygos.can import run as recorded
 from zygos.can.run import Run, check_distinct, find_arm
 from zygos.errors import Damaged, Undecided, ZygosError
 from zygos.files.inputs import local
-from zygos.files.output import is_dash, note
+from zygos.files.output import is_dash, note, quiet, write_json
 from zygos.files.progress import progress
+from zygos.report.answer import Answer
+from zygos.report.provenance import Provenance
+from zygos.report.terminal import show
 
 
 def check_model_name(path: Path) -> None:
@@ -122,6 +125,45 @@ def conclude(validity: str, said: str) -> None:
         warn([said])
     elif validity != "valid":
         raise Undecided(said)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a command is to give beside the files that it is for."""
+
+    json: str | None = None
+    """File of the JSON."""
+    report: Path | None = None
+    """File of the page."""
+    details: bool = False
+    """Whether all tables are printed."""
+
+
+def deliver(
+    wanted: Wanted,
+    answer: Callable[[bool], Answer],
+    content: Callable[[], Mapping[str, Any]],
+    source: Callable[[], Provenance],
+    *outputs: str | Path | None,
+    save: Callable[[], None] | None = None,
+) -> None:
+    """Print an answer, save what the command is for, and write page and JSON.
+
+    answer: with charts, or without. content: of the JSON, which is written even if another file cannot be. source: what
+    the answer was made from. outputs: other files, one of which may be standard output.
+    """
+    if not quiet(*outputs, wanted.json, wanted.report):
+        show(answer(False), details=wanted.details)
+    try:
+        if save is not None:
+            save()
+        if wanted.report is not None:
+            from zygos.report.html import write_page  # noqa: PLC0415  (only a page needs the templates)
+
+            write_page(wanted.report, answer(True), source())
+    finally:
+        if wanted.json:
+            write_json(wanted.json, content())
 
 
 def not_whole(*damage: Sequence[str]) -> None:

@@ -23,20 +23,23 @@ from zygos.arm import load_arm
 from zygos.can.run import Run
 from zygos.demo.kr300 import SOURCE, Skew, audit_kr300
 from zygos.errors import Undecided, ZygosError
-from zygos.files.output import check_outputs, errors_end_the_program, number, say, table, write_json
+from zygos.files.output import check_outputs, errors_end_the_program, number, say, write_json
+from zygos.files.output import table as show_table
 from zygos.files.progress import progress
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.ground.explanation import GroundExplanation
-from zygos.gap.ground.page import write_ground_gap_report
 from zygos.gap.ground.picture import write_picture
 from zygos.gap.ground.predictions import run_name
+from zygos.gap.ground.sections import answer_of
 from zygos.ground.estimate import GroundEstimate, estimate_ground
-from zygos.ground.page import ground_content
 from zygos.ground.score import Score, score
+from zygos.ground.sections import estimate_answer
 from zygos.model.model import load_model, save_model
+from zygos.report.answer import Answer, Column, Row, Text, section, sections, table
 from zygos.report.figures import unit_of
-from zygos.report.page import Entry, joint_colour, render
-from zygos.report.provenance import Provenance, provenance
+from zygos.report.html import write_page
+from zygos.report.page import joint_colour
+from zygos.report.provenance import provenance
 from zygos.runs.tables import read_cycles
 
 EXAMPLE = Path("examples/pendulum")
@@ -180,38 +183,101 @@ def audited(source: Path, folder: Path) -> tuple[Skew, ...] | None:
     return None
 
 
-def write_real_report(path: Path, real: Real, source: Provenance) -> None:
-    """Write the page. Errors: ZygosError if it cannot be written."""
-    data, content = ground_content(real.found, source, "")
+def real_answer(real: Real, *, draw: bool = False) -> Answer:
+    """The answer of the estimate, with what stands beside it. draw: with charts."""
     colours = {joint.name: joint_colour(j) for j, joint in enumerate(real.found.arm.joints)}
-    held_out: list[Entry] = [
-        {
-            "recording": one.recording,
-            "joint": one.joint,
-            "colour": colours[one.joint],
-            "good": one.good,
-            **{key: number(100 * getattr(one, key), 3) for key in ("zygos", "batch", "published", "with_offset")},
-            "limit": number(100 * one.limit, 3),
-            "ratio": number(one.zygos / one.batch, 4),
-        }
-        for one in real.held_out
-    ]
-    values = [
-        {
-            "name": one.name,
-            "stands_for": one.stands_for if one.stands_for != one.name else "",
-            "unit": unit_of(one.unit),
-            **{key: number(getattr(one, key), 4) for key in ("value", "batch", "published")},
-            "half95": number(one.half95, 2),
-            "away": number((one.value - one.published) / one.half95, 2) if np.isfinite(one.published) else "–",
-        }
-        for one in real.values
-    ]
-    skews = [
-        {"axis": one.axis, "skew": number(one.skew_ms, 3), "sigma": number(one.sigma_ms, 2), "reported": one.reported}
-        for one in real.skews or ()
-    ]
-    render(path, "demo/real.html", data, **content, held=held_out, values=values, skews=skews, limit=BATCH_LIMIT)
+    held_out = section(
+        "compared",
+        "Torques that are not predicted",
+        Text(
+            "The part of the measured torque, in per cent, that each model leaves in recordings that nothing was "
+            "learned from, without a constant offset of the torque in the recording. Batch least squares has the "
+            "same terms, on filtered accelerations. The published model comes from those who recorded the runs. The "
+            f"largest ratio to batch least squares that passes is {BATCH_LIMIT}."
+        ),
+        table(
+            (
+                "joint",
+                Column("recording", "text"),
+                Column("zygos", "main"),
+                "batch least squares",
+                "ratio",
+                "published model",
+                "limit",
+                "zygos, with the offset",
+            ),
+            [
+                Row(
+                    (
+                        one.joint,
+                        one.recording,
+                        number(100 * one.zygos, 3),
+                        number(100 * one.batch, 3),
+                        number(one.zygos / one.batch, 4),
+                        number(100 * one.published, 3),
+                        number(100 * one.limit, 3),
+                        number(100 * one.with_offset, 3),
+                    ),
+                    "" if one.good else "fails",
+                    colours[one.joint],
+                )
+                for one in real.held_out
+            ],
+        ),
+    )
+    values = section(
+        "values",
+        "Learned and published values",
+        Text(
+            "The published values are read after the estimate. The last column is the difference in half widths of the "
+            "95 % interval."
+        ),
+        table(
+            (
+                Column("name", "name"),
+                Column("stands for", "wrap"),
+                Column("learned", "main"),
+                "± 95 %",
+                Column("unit", "unit"),
+                "batch least squares",
+                "published",
+                "difference",
+            ),
+            [
+                (
+                    one.name,
+                    one.stands_for if one.stands_for != one.name else "",
+                    number(one.value, 4),
+                    number(one.half95, 2),
+                    unit_of(one.unit),
+                    number(one.batch, 4),
+                    number(one.published, 4),
+                    number((one.value - one.published) / one.half95, 2) if np.isfinite(one.published) else "–",
+                )
+                for one in real.values
+            ],
+        ),
+    )
+    skews = section(
+        "kr300",
+        "The encoders of a KUKA KR300",
+        Text("The time by which the encoder of the motor is read later than that of the link, from a recorded run.")
+        if real.skews
+        else Text("Its run is not there, so that its audit is left out.", "note"),
+        table(
+            ("axis", Column("later by, ms", "main"), "± standard error", Column("zygos check-arm", "text")),
+            [
+                (
+                    one.axis,
+                    number(one.skew_ms, 3),
+                    number(one.sigma_ms, 2),
+                    "reports a skew" if one.reported else "reports nothing",
+                )
+                for one in real.skews or ()
+            ],
+        ),
+    )
+    return estimate_answer(real.found, draw=draw, beside=sections(held_out, values, skews))
 
 
 def explained(
@@ -226,7 +292,7 @@ def explained(
     gap = explain_ground(learned[0].arm, simulation, learned, runs)
     files = [("simulation", example / "frictionless.toml"), ("arm", example / "arm.toml")]
     files += [("recording", example / f"{name}.blf") for name in (*LEARNED, *LIMITS)]
-    write_ground_gap_report(folder / "gap.html", gap, provenance(["real"], files))
+    write_page(folder / "gap.html", answer_of(gap, draw=True), provenance(["real"], files))
     write_picture(folder / "gap.svg", gap)
     return gap
 
@@ -254,11 +320,11 @@ def run_real(
     files = [("recording", EXAMPLE / f"{name}.blf") for name in (*LEARNED, *LIMITS)]
     files += [("arm", EXAMPLE / "arm.toml"), ("published model", EXAMPLE / "published.toml")]
     write_json(json, real.as_dict())
-    write_real_report(page, real, provenance(["real"], files))
+    write_page(page, real_answer(real, draw=True), provenance(["real"], files))
     _print(real, kr300)
     gap = explained(learned, found, folder)
     if gap.gap is not None:
-        table(
+        show_table(
             ("recording", *(f"{name}, %" for name, _ in gap.gap.predictions[0].scores)),
             [
                 (run_name(one.run), *(number(100 * score.arm_energy_share, 3) for _, score in one.scores))
@@ -276,7 +342,7 @@ def run_real(
 
 
 def _print(real: Real, kr300: Path) -> None:
-    table(
+    show_table(
         ("recording", "joint", "torque left, %", "batch", "published", "limit", "of batch", "with offset"),
         [
             (
@@ -293,7 +359,7 @@ def _print(real: Real, kr300: Path) -> None:
         ],
         title="the pendulum: torque that is not predicted, without the offset of the recording",
     )
-    table(
+    show_table(
         ("name", "unit", "learned", "±95 %", "batch", "published"),
         [
             (
@@ -310,7 +376,7 @@ def _print(real: Real, kr300: Path) -> None:
     if real.skews is None:
         say(f"KR300: {kr300} is not there, so that its audit is left out")
         return
-    table(
+    show_table(
         ("axis of the KR300", "motor newer by ms", "±", "reported"),
         [
             (one.axis, number(one.skew_ms, 3), number(one.sigma_ms, 2), "yes" if one.reported else "no")

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.estimation.answer import learned, report_estimate
 from zygos.estimation.remedies import measured, remedy
+from zygos.estimation.sections import learned, report_estimate
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_change, about_left_out, about_noise
 from zygos.model.model import Model, Quantity

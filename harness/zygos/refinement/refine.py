@@ -28,13 +28,13 @@ from zygos.model.model import Model, Quantity
 from zygos.native.flight import CHANNELS
 from zygos.native.refiner import NORMAL_95
 from zygos.quantiles import chi_square_isf, normal_isf
-from zygos.refinement.answer import report_refinement
 from zygos.refinement.bound import Bound, bound_from
 from zygos.refinement.follow import Pass, triangle_of
 from zygos.refinement.motion import FlexibleMotion
 from zygos.refinement.record import Record, record_of
 from zygos.refinement.rivals import Rival, rivals, typical_torque
 from zygos.refinement.search import REMEDY, Found, Search
+from zygos.refinement.sections import report_refinement
 from zygos.refinement.start import LEARNED, begin
 
 Floats = NDArray[np.float64]

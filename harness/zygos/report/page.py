@@ -26,17 +26,17 @@ UNITS = {"kg m^2": "kg m²", "Nm/rad": "N m/rad", "Nms/rad": "N m s/rad"}
 """Units of parameters as printed for people."""
 _JOINT_COLOURS = 7
 _FOLDER = Path(__file__).parent
-_PAGES = Environment(
+PAGES = Environment(
     loader=FileSystemLoader([_FOLDER, _FOLDER.parent]), autoescape=True, undefined=StrictUndefined, trim_blocks=True
 )
 
 
 def render(path: Path, template: str, data: Mapping[str, Any], **content: Any) -> None:
     """Write a page: a template, by its name in the package's folder, its content, and the data of its charts."""
-    page = _PAGES.get_template(template)
+    page = PAGES.get_template(template)
     # no "<" may end the script element prematurely
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    write_text(path, page.render(**content, data=Markup(text)))
+    write_text(path, page.render(**content, data=Markup(text), charted=bool(data["charts"])))
 
 
 def numbers(values: Floats) -> list[float | None]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from zygos.gap.answer import (
+from zygos.gap.content import (
     change_json,
     checks_json,
     finding_json,

@@ -1,0 +1,70 @@
+"""The end of `zygos estimate` and `zygos listen`: answer, model file, JSON, and messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from zygos.cli.shared import Wanted, conclude, deliver, warn
+from zygos.estimation import sections
+from zygos.estimation.estimate import Estimation
+from zygos.files.output import named
+from zygos.ground.estimate import GroundEstimate
+from zygos.ground.payload import Payload, check_found
+from zygos.ground.sections import estimate_answer, payload_answer
+from zygos.model.model import Model, save_model
+from zygos.report.provenance import Provenance
+
+Source = Callable[[], Provenance]
+
+
+def finish_estimate(found: Estimation, out: Path, heading: Mapping[str, Any], wanted: Wanted, source: Source) -> None:
+    """End an estimate of the flight library. Raises Undecided if it is doubtful or refused.
+
+    heading: what the JSON begins with; source: what the estimate was made from. For a page it must have kept its trace.
+    """
+    where = _where(found.validity, out)
+    damage = heading.get("damage") or ()
+    deliver(
+        wanted,
+        lambda draw: sections.answer_of(found, written=where, damage=damage, draw=draw),
+        lambda: found.as_dict(heading),
+        source,
+        out,
+        save=_saved(found.validity, found.to_model, out),
+    )
+    if found.change:
+        warn([found.change])
+    measured = f": {found.measured}" if found.measured else ""
+    conclude(found.validity, f"{found.validity}: {found.reason}{measured} ({where}); remedy: {found.remedy}")
+
+
+def finish_ground(found: GroundEstimate, out: Path, wanted: Wanted, source: Source) -> None:
+    """End an estimate on the ground. Raises Undecided if it is doubtful or refused."""
+    where = _where(found.validity, out)
+    deliver(
+        wanted,
+        lambda draw: estimate_answer(found, written=where, draw=draw),
+        found.as_dict,
+        source,
+        out,
+        save=_saved(found.validity, found.to_model, out),
+    )
+    conclude(found.validity, f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}")
+
+
+def finish_payload(found: Payload, out: Path, wanted: Wanted, source: Source) -> None:
+    """End the estimate of a payload. Raises Undecided where there is none."""
+    where = f"{named(out)} written" if found.found else ""
+    deliver(wanted, lambda draw: payload_answer(found, written=where), found.as_dict, source, out)
+    check_found(found)
+    save_model(found.to_model(), out)
+
+
+def _where(validity: str, out: Path) -> str:
+    return "no model written" if validity == "refused" else f"{named(out)} written"
+
+
+def _saved(validity: str, model: Callable[[], Model], out: Path) -> Callable[[], None] | None:
+    return None if validity == "refused" else lambda: save_model(model(), out)
