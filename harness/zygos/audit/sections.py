@@ -15,7 +15,6 @@ from zygos.files.output import counted, number
 from zygos.report.answer import (
     NOTHING_DRAWN,
     Answer,
-    Column,
     Counts,
     Items,
     Row,
@@ -83,7 +82,7 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
                 "findings",
                 "What is wrong",
                 table(
-                    ("signal", Column("fault", "state"), Column("evidence", "wrap"), Column("remedy", "wrap")),
+                    "signal | fault::state | evidence::wrap | remedy::wrap",
                     [Row((one.signal, one.fault, one.evidence, one.remedy), "fails") for one in found.findings],
                 ),
             ),
@@ -92,18 +91,8 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
                 "signals",
                 "Signals",
                 table(
-                    (
-                        "signal",
-                        Column("unit", "unit"),
-                        "rate, %",
-                        "low",
-                        "high",
-                        "steps",
-                        "declared step",
-                        "noise",
-                        "declared noise",
-                        Column("verdict", "state"),
-                    ),
+                    "signal | unit::unit | rate, % | low | high | steps | declared step | noise | declared noise | "
+                    "verdict::state",
                     [_signal(one, wrong=one.name in accused) for one in found.signals],
                 ),
             ),
@@ -111,15 +100,8 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
                 "encoders",
                 "The two encoders of each joint",
                 table(
-                    (
-                        "joint",
-                        "motor newer by, ms",
-                        "±",
-                        "zero, mrad",
-                        "±",
-                        "stiffness as read, N m/rad",
-                        "stiffness without skew",
-                    ),
+                    "joint | motor newer by, ms | ± | zero, mrad | ± | stiffness as read, N m/rad | stiffness "
+                    "without skew",
                     [_pair(one) for one in found.pairs],
                 ),
             ),
@@ -128,7 +110,7 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
                 "Torque law",
                 Text("What the energy balance of the whole arm leaves over under each law."),
                 table(
-                    (Column("law", "name"), "residual, J", Column("", "text")),
+                    "law::name | residual, J | ::text",
                     [
                         (name, number(left, 4), "the arm file's" if name == arm.torque_law else "")
                         for name, left in found.laws.items()

@@ -35,7 +35,7 @@ from zygos.ground.estimate import GroundEstimate, estimate_ground
 from zygos.ground.score import Score, score
 from zygos.ground.sections import estimate_answer
 from zygos.model.model import load_model, save_model
-from zygos.report.answer import Answer, Column, Row, Text, section, sections, table
+from zygos.report.answer import Answer, Row, Text, section, sections, table
 from zygos.report.figures import unit_of
 from zygos.report.html import write_page
 from zygos.report.page import joint_colour
@@ -196,16 +196,8 @@ def real_answer(real: Real, *, draw: bool = False) -> Answer:
             f"largest ratio to batch least squares that passes is {BATCH_LIMIT}."
         ),
         table(
-            (
-                "joint",
-                Column("recording", "text"),
-                Column("zygos", "main"),
-                "batch least squares",
-                "ratio",
-                "published model",
-                "limit",
-                "zygos, with the offset",
-            ),
+            "joint | recording::text | zygos::main | batch least squares | ratio | published model | limit | zygos, "
+            "with the offset",
             [
                 Row(
                     (
@@ -233,16 +225,8 @@ def real_answer(real: Real, *, draw: bool = False) -> Answer:
             "95 % interval."
         ),
         table(
-            (
-                Column("name", "name"),
-                Column("stands for", "wrap"),
-                Column("learned", "main"),
-                "± 95 %",
-                Column("unit", "unit"),
-                "batch least squares",
-                "published",
-                "difference",
-            ),
+            "name::name | stands for::wrap | learned::main | ± 95 % | unit::unit | batch least squares | published | "
+            "difference",
             [
                 (
                     one.name,
@@ -265,7 +249,7 @@ def real_answer(real: Real, *, draw: bool = False) -> Answer:
         if real.skews
         else Text("Its run is not there, so that its audit is left out.", "note"),
         table(
-            ("axis", Column("later by, ms", "main"), "± standard error", Column("zygos check-arm", "text")),
+            "axis | later by, ms::main | ± standard error | zygos check-arm::text",
             [
                 (
                     one.axis,

@@ -26,7 +26,6 @@ from zygos.report.answer import (
     Answer,
     Bar,
     Charts,
-    Column,
     Content,
     Counts,
     Fact,
@@ -213,15 +212,9 @@ def _parameters(arm: Arm, result: Estimate) -> Table | None:
         )
         rows.append(Row(cells, colour=joint_colour(joint)))
     columns = (
-        Column("name", "name"),
-        Column("what it is", "text"),
-        Column("estimate", "main"),
-        "± 95 %",
-        Column("unit", "unit"),
-        "95 % interval",
-        "± 95 %, %",
-        *(("significance",) if some else ()),
-        Column("± 95 %, % of the value", "bar"),
+        "name::name | what it is::text | estimate::main | ± 95 % | unit::unit | 95 % interval | ± 95 %, %"
+        + (" | significance" if some else "")
+        + " | ± 95 %, % of the value::bar"
     )
     return table(columns, rows, ticks=scale.ticks)
 
@@ -234,7 +227,7 @@ def _left_out(arm: Arm, result: Estimate, watch: Watch) -> list[Content | None]:
     more = len(listed) - _LEFT_OUT
     return [
         Text(f"{said.capitalize()}.") if said else None,
-        table(("equations", "from, s", "to, s"), listed[:_LEFT_OUT]),
+        table("equations | from, s | to, s", listed[:_LEFT_OUT]),
         Text(f"And {more} more, which the JSON lists.", "small") if more > 0 else None,
     ]
 
@@ -254,7 +247,7 @@ def _contradicting(arm: Arm, drift: Drift | None) -> Section | None:
             "difference."
         ),
         table(
-            (Column("name", "name"), Column("what it is", "text"), "deviation"),
+            "name::name | what it is::text | deviation",
             [
                 Row((name, meaning(arm, name)[0], number(x, 3)), "fails")
                 for name, x in sorted(far, key=lambda one: -abs(one[1]))

@@ -9,7 +9,7 @@ import numpy as np
 from zygos.files.output import number
 from zygos.gap.predict import Ahead, Prediction
 from zygos.ground.sections import READING, run_names, score_sections
-from zygos.report.answer import Answer, Column, Section, Text, section, sections, table
+from zygos.report.answer import Answer, Section, Text, section, sections, table
 
 _AHEAD = (
     "Half a second ahead",
@@ -66,7 +66,7 @@ def _ahead(k: int, name: str, ahead: Ahead) -> Section | None:
             f"{len(ahead.distance)} stretches: {ahead.median:.3g} σ in the median, 90th percentile {ahead.tenth:.3g} σ."
         ),
         table(
-            ("signal", Column("error", "main"), "floor", Column("unit", "unit")),
+            "signal | error::main | floor | unit::unit",
             [(signal, number(error, 3), number(floor, 3), unit) for signal, error, floor, unit in rows],
         ),
     )

@@ -35,7 +35,6 @@ from zygos.report.answer import (
     Bar,
     Card,
     Cards,
-    Column,
     Content,
     Fact,
     Facts,
@@ -184,15 +183,7 @@ def check_section(adopted: Adopted | None, verdict: Verdict) -> Section | None:
         )
         for one in decided(adopted, verdict)
     ]
-    columns = (
-        Column("what was found", "wrap"),
-        Column("size", "main"),
-        "at least",
-        "at most",
-        Column("unit", "unit"),
-        Column("limit", "wrap"),
-        Column("holds", "state"),
-    )
+    columns = "what was found::wrap | size::main | at least | at most | unit::unit | limit::wrap | holds::state"
     return section("checks", "What decided whether a model is written", table(columns, rows))
 
 
@@ -280,7 +271,7 @@ def _gap(x: Explanation) -> list[Content | None]:
             f"predicts the next {horizon} s of an untouched run, from a state fitted to the {horizon} s before; over "
             f"{len(gap.segments.tau)} segments and all sensors. {said}"
         ),
-        table(("", Column("", "bar"), Column("rms, σ", "main")), rows, ticks=scale.ticks, one=scale.at(1.0)),
+        table("::bar | rms, σ::main", rows, ticks=scale.ticks, one=scale.at(1.0)),
         Text(
             "rms in σ, powers of ten; dotted tick: median of the segments, full tick: their 90th percentile; dashed "
             "line: σ itself.",
@@ -339,7 +330,7 @@ def _where(x: Explanation, drawn: Drawn | None) -> Section | None:
     columns = (
         "balance",
         *(f"{one}, by itself" for one in letters),
-        Column("ρ, powers of ten", "bar"),
+        "ρ, powers of ten::bar",
         *(f"{one}, refit" for one in letters),
         *((f"{one}, after" for one in letters) if added else ()),
     )
@@ -459,7 +450,7 @@ def _experiments(x: Explanation) -> Section | None:
                 f"{limits.NAMED_Z.value:g} are needed."
             ),
             table(
-                ("a run with", "z there", "z now"),
+                "a run with | z there | z now",
                 [
                     Row((motion(one), figure(one.z), figure(one.now)), "named" if one.tells else "")
                     for one in x.experiments
@@ -497,12 +488,12 @@ def _searched(x: Explanation, search: Search, *, null: bool) -> list[Content | N
     letters = [letter(k) for k in range(len(x.refit.records))]
     columns = (
         "candidate",
-        *((Column("detection limit", "main"),) if null else ()),
+        *(("detection limit::main",) if null else ()),
         *(f"run {one}" for one in letters),
-        Column("unit", "unit"),
+        "unit::unit",
         *(f"z, {one}" for one in letters),
         *(() if null else ("explains, %", "seen from")),
-        Column("what speaks against it", "state"),
+        "what speaks against it::state",
     )
     beyond = limit_rows(x.arm, [(one.kind, one.joint, one.value) for one in search.beyond])
     together = " % and ".join(f"{100.0 * share:.1f}" for share in search.completeness)
@@ -529,7 +520,7 @@ def beyond_content(rows: Sequence[tuple[str, ...]], said: str) -> tuple[Content 
     """Detection limits of entries that are searched last."""
     if not rows:
         return ()
-    return Text(said), table(("entry", Column("detection limit", "main"), Column("unit", "unit")), rows)
+    return Text(said), table("entry | detection limit::main | unit::unit", rows)
 
 
 def limit_rows(arm: Arm, found: Sequence[tuple[Kind, int, float]]) -> list[tuple[str, ...]]:
@@ -598,7 +589,7 @@ def _waterfall(x: Explanation) -> Section | None:
             "Mean of ρ² − 1 over all runs and balances, in powers of ten: what is left over beyond the twin; per cent "
             f"are of the refit.{none}"
         ),
-        table(("step", Column("", "bar"), Column("left over", "main"), "of the refit"), rows, ticks=scale.ticks),
+        table("step | ::bar | left over::main | of the refit", rows, ticks=scale.ticks),
     )
 
 
@@ -659,14 +650,7 @@ def _values(x: Explanation) -> Section | None:
             f"standard deviations, the dot the value found, on one scale of ± {figure(100.0 * scale, 2)} %."
         ),
         table(
-            (
-                Column("name", "name"),
-                "simulation",
-                Column("found", "main"),
-                Column("unit", "unit"),
-                "change, %",
-                Column("simulation's band, and found", "signed"),
-            ),
+            "name::name | simulation | found::main | unit::unit | change, % | simulation's band, and found::signed",
             rows,
         ),
         last,
@@ -729,10 +713,10 @@ def _against(x: Explanation) -> Section | None:
         ),
         table(
             (
-                Column("name", "name"),
+                "name::name",
                 *runs,
-                Column("all runs", "main"),
-                Column("unit", "unit"),
+                "all runs::main",
+                "unit::unit",
                 "z",
             ),
             rows,
@@ -785,15 +769,7 @@ def _effects(x: Explanation) -> Content | None:
             now.evidence if now is not None else "",
         )
         rows.append(Row(cells, "named" if state == "added" else ""))
-    columns = (
-        "effect",
-        Column("where", "text"),
-        "simulation",
-        "new model",
-        Column("unit", "unit"),
-        Column("", "state"),
-        Column("evidence", "wrap"),
-    )
+    columns = "effect | where::text | simulation | new model | unit::unit | ::state | evidence::wrap"
     return table(columns, rows)
 
 

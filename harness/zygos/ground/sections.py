@@ -18,7 +18,6 @@ from zygos.ground.score import JointScore, Score
 from zygos.report.answer import (
     Answer,
     Bar,
-    Column,
     Fact,
     Facts,
     Row,
@@ -152,13 +151,7 @@ def payload_answer(found: Payload, *, written: str = "") -> Answer:
                 "parameters",
                 "Change of the last body",
                 table(
-                    (
-                        Column("name", "name"),
-                        Column("estimate", "main"),
-                        "± 95 %",
-                        Column("unit", "unit"),
-                        Column("stands for", "wrap"),
-                    ),
+                    "name::name | estimate::main | ± 95 % | unit::unit | stands for::wrap",
                     [
                         (one.name, number(value), number(half, 2), unit_of(one.unit), group)
                         for one, value, half, group in zip(
@@ -171,7 +164,7 @@ def payload_answer(found: Payload, *, written: str = "") -> Answer:
                 "joints",
                 "Joints",
                 table(
-                    ("joint", "torque left before, %", "held-out left with it, %"),
+                    "joint | torque left before, % | held-out left with it, %",
                     [
                         (joint.name, number(100 * before, 3), number(100 * after, 3))
                         for joint, before, after in zip(
@@ -241,15 +234,9 @@ def _parameters(found: GroundEstimate) -> Section | None:
         )
         rows.append(Row(cells, colour=colour))
     columns = (
-        Column("name", "name"),
-        Column("stands for", "wrap"),
-        Column("estimate", "main"),
-        "± 95 %",
-        Column("unit", "unit"),
-        "degrees of freedom",
-        *(("spread over runs",) if several else ()),
-        "± 95 %, %",
-        Column("± 95 %, % of the value", "bar"),
+        "name::name | stands for::wrap | estimate::main | ± 95 % | unit::unit | degrees of freedom"
+        + (" | spread over runs" if several else "")
+        + " | ± 95 %, % | ± 95 %, % of the value::bar"
     )
     said = (
         "What stands for several quantities is their sum, which is all that any motion shows. The bars are the half "
@@ -300,7 +287,7 @@ def _joints(found: GroundEstimate) -> Section | None:
         table(
             (
                 "joint",
-                Column("held-out torque left, %", "main"),
+                "held-out torque left, %::main",
                 "left where learned, %",
                 f"residual as noise, {unit}",
                 "in noise",
@@ -338,18 +325,10 @@ def _score_table(score: Score) -> Table | None:
     flexible = any(np.isfinite(one.spring_nm) for one in score.joints)
     rests = any(one.rest_share > 0.0 for one in score.joints)
     columns = (
-        "joint",
-        "torque, rms, N m",
-        "error, rms, N m",
-        "floor, N m",
-        Column("in %", "main"),
-        "σ",
-        *(("at rest, N m",) if rests else ()),
-        "offset, N m",
-        "error with the offset, %",
-        "work of the error in 1 s, J",
-        "in %",
-        *(("spring, N m",) if flexible else ()),
+        "joint | torque, rms, N m | error, rms, N m | floor, N m | in %::main | σ"
+        + (" | at rest, N m" if rests else "")
+        + " | offset, N m | error with the offset, % | work of the error in 1 s, J | in %"
+        + (" | spring, N m" if flexible else "")
     )
 
     def cells(one: JointScore) -> tuple[str, ...]:

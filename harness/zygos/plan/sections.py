@@ -13,7 +13,7 @@ from zygos.files.output import number
 from zygos.plan.expected import Expectation
 from zygos.plan.limits import Limits
 from zygos.plan.planning import Planner, ranked
-from zygos.report.answer import NOTHING_DRAWN, Answer, Column, Text, charts, section, sections, table
+from zygos.report.answer import NOTHING_DRAWN, Answer, Text, charts, section, sections, table
 from zygos.report.figures import unit_of
 from zygos.report.page import Entry, joint_colour, numbers, series, thinned
 
@@ -78,12 +78,12 @@ def answer_of(expected: Sequence[Expectation], planner: Planner, *, written: str
                     (
                         "motion",
                         f"mean σ{', %' if bound else ''}",
-                        Column("worst parameter", "text"),
+                        "worst parameter::text",
                         "its σ, %",
                         "largest rate, rad/s",
                         "largest torque, N m",
-                        Column("limits", "wrap"),
-                        *((Column("not determined", "wrap"),) if bound else ()),
+                        "limits::wrap",
+                        *(("not determined::wrap",) if bound else ()),
                     ),
                     [
                         (
@@ -106,8 +106,8 @@ def answer_of(expected: Sequence[Expectation], planner: Planner, *, written: str
                 "Parameters",
                 table(
                     (
-                        Column("parameter", "name"),
-                        Column("unit", "unit"),
+                        "parameter::name",
+                        "unit::unit",
                         "model",
                         *(f"{one.name} σ, %" for one in order),
                     ),

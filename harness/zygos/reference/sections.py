@@ -7,7 +7,7 @@ import numpy as np
 from zygos.files.output import number
 from zygos.reference.check import Check
 from zygos.reference.compare import Curve, Room
-from zygos.report.answer import Answer, Bar, Column, Mark, Row, Text, charts, section, sections, table
+from zygos.report.answer import Answer, Bar, Mark, Row, Text, charts, section, sections, table
 from zygos.report.figures import LogScale
 from zygos.report.page import Entry, numbers, series, thinned
 
@@ -71,16 +71,8 @@ def answer_of(found: Check, *, draw: bool = False) -> Answer:
                     "ten, the tick the tolerance."
                 ),
                 table(
-                    (
-                        "stage",
-                        Column("what is compared", "wrap"),
-                        "numbers",
-                        Column("largest difference", "main"),
-                        "at cycle",
-                        "tolerance",
-                        Column("", "state"),
-                        Column("difference and tolerance", "bar"),
-                    ),
+                    "stage | what is compared::wrap | numbers | largest difference::main | at cycle | tolerance | "
+                    "::state | difference and tolerance::bar",
                     [_row(room, scale) for room in found.stages],
                     ticks=scale.ticks,
                 ),

@@ -21,7 +21,6 @@ from zygos.report.answer import (
     Answer,
     Bar,
     Charts,
-    Column,
     Fact,
     Facts,
     Mark,
@@ -90,13 +89,7 @@ def answer_of(found: Refinement, *, written: str = "", damage: Sequence[str] = (
                 "rules",
                 "What was checked",
                 table(
-                    (
-                        Column("rule", "wrap"),
-                        "found",
-                        "passes up to",
-                        Column("", "state"),
-                        Column("meaning", "wrap"),
-                    ),
+                    "rule::wrap | found | passes up to | ::state | meaning::wrap",
                     [
                         Row(
                             (
@@ -120,7 +113,7 @@ def answer_of(found: Refinement, *, written: str = "", damage: Sequence[str] = (
                     "large it would be."
                 ),
                 table(
-                    (Column("what", "wrap"), "value", "σ"),
+                    "what::wrap | value | σ",
                     [(one.title, f"{figure(one.value)} {one.unit}", number(one.sigmas, 2)) for one in found.rivals],
                 ),
             ),
@@ -329,17 +322,8 @@ def _parameters(found: Refinement) -> Section | None:
             Row((f"{one.kind.key} {one.joint}", one.kind.title, down_to(one.value, one.sigma), figure(half, 2),
                  unit_of(one.kind.unit), *blank))
         )  # fmt: skip
-    columns = (
-        Column("name", "name"),
-        Column("what it is", "text"),
-        Column("estimate", "main"),
-        "± 95 %",
-        Column("unit", "unit"),
-        "σ, %",
-        "bound, %",
-        "energy rows, %",
-        Column("σ, %", "bar"),
-    )
+    columns = "name::name | what it is::text | estimate::main | ± 95 % | unit::unit | σ, % | bound, % | energy rows, "
+    "% | σ, %::bar"
     return section(
         "parameters",
         "Parameters",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 Tone = Literal["good", "open", "named", "differ"]
 """Colour of a verdict."""
@@ -192,15 +192,20 @@ def section(key: str, title: str, *content: Content | None) -> Section | None:
     return Section(key, title, kept) if kept else None
 
 
-def table(columns: Sequence[str | Column], rows: Sequence[Row | Sequence[str | Bar]], **scale: Any) -> Table | None:
-    """A table; None where it has no rows. Columns with a title alone are numbers, the first one is a title."""
+def table(heads: str | Sequence[str], rows: Sequence[Row | Sequence[str | Bar]], **scale: Any) -> Table | None:
+    """A table; None where it has no rows.
+
+    heads: titles of the columns, in one text with " | " between them or one by one. Behind "::" a title has the kind of
+    its column; others are numbers, the first one is a title.
+    """
     if not rows:
         return None
-    heads = [
-        one if isinstance(one, Column) else Column(one, "number" if k else "title") for k, one in enumerate(columns)
-    ]
+    columns = []
+    for k, head in enumerate(heads.split(" | ") if isinstance(heads, str) else heads):
+        title, _, kind = head.partition("::")
+        columns.append(Column(title, cast(ColumnKind, kind or ("number" if k else "title"))))
     lines = [one if isinstance(one, Row) else Row(tuple(one)) for one in rows]
-    return Table(tuple(heads), tuple(lines), **scale)
+    return Table(tuple(columns), tuple(lines), **scale)
 
 
 def charts(drawn: Sequence[Mapping[str, Any]], layout: Literal["one", "two", "three", "many"] = "two") -> Charts | None:

@@ -24,7 +24,6 @@ from zygos.plan.separating import Separating
 from zygos.report.answer import (
     NOTHING_DRAWN,
     Answer,
-    Column,
     Row,
     Section,
     Table,
@@ -116,15 +115,7 @@ def _findings(found: GroundExplanation) -> Table | None:
                 evidence(one),
             )
         )
-    columns = (
-        Column("effect", "wrap"),
-        Column("joint", "text"),
-        Column("value", "main"),
-        "95 % interval",
-        Column("unit", "unit"),
-        "after the gear",
-        Column("evidence", "wrap"),
-    )
+    columns = "effect::wrap | joint::text | value::main | 95 % interval | unit::unit | after the gear | evidence::wrap"
     return table(columns, rows)
 
 
@@ -139,13 +130,7 @@ def _left(found: GroundExplanation) -> Section | None:
         )
         for rest in (found.verdict.left if isinstance(found.verdict, PartNamed) else ())
     ]
-    columns = (
-        Column("where", "text"),
-        Column("rms, N m", "main"),
-        "noise alone, N m",
-        Column("varies with", "text"),
-        "share, %",
-    )
+    columns = "where::text | rms, N m::main | noise alone, N m | varies with::text | share, %"
     return section("left", "What is left over", table(columns, rows))
 
 
@@ -163,8 +148,8 @@ def _gap(found: GroundExplanation) -> Section | None:
         ),
         table(
             (
-                Column("model", "text"),
-                Column("energy, %", "main"),
+                "model::text",
+                "energy, %::main",
                 *(f"{joint.name}, N m" for joint in found.arm.joints),
             ),
             [
@@ -193,7 +178,7 @@ def _joints(found: GroundExplanation) -> Section | None:
             f"Residual of the increments of {found.span_s:g} s as mean torque after the gear, in N m, run by run: with "
             "the values of the simulation, with its own equations refitted, with what was found, and of noise alone."
         ),
-        table(("joint", "as delivered", "refit", Column("closed", "main"), "noise"), rows),
+        table("joint | as delivered | refit | closed::main | noise", rows),
     )
 
 
@@ -217,14 +202,7 @@ def _candidates(found: GroundExplanation) -> Section | None:
         for one in tried
     ]
     columns = (
-        Column("candidate", "text"),
-        Column("value", "main"),
-        Column("unit", "unit"),
-        "on each run",
-        "z",
-        "explains, %",
-        "seen from",
-        Column("against it", "wrap"),
+        "candidate::text | value::main | unit::unit | on each run | z | explains, % | seen from | against it::wrap"
     )
     beyond = limit_rows(
         found.arm,
@@ -266,14 +244,7 @@ def _values(found: GroundExplanation) -> Section | None:
         )
         for v in found.values
     ]
-    columns = (
-        Column("name", "name"),
-        "simulation",
-        Column("found", "main"),
-        "± 95 %",
-        Column("unit", "unit"),
-        Column("differs", "text"),
-    )
+    columns = "name::name | simulation | found::main | ± 95 % | unit::unit | differs::text"
     return section("values", "Values", table(columns, rows))
 
 
