@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from conftest import ROOT
-from zygos.report.answer import Answer, Bar, Column, section, sections, table
+from zygos.report.answer import Answer, Bar, section, sections, table
 from zygos.report.html import write_page
 from zygos.report.page import render
 from zygos.report.provenance import Provenance
@@ -41,7 +41,7 @@ def test_tables_are_stacked_or_scroll(page: str, tmp_path: Path) -> None:
     assert text.startswith('{% extends "base.html" %}')
     assert text.rindex("</table>") < text.rindex("{% endblock %}")
     if page == "report/answer.html":
-        part = section("parts", "Parts", table(("name", Column("size", "bar")), [("k1", Bar(50.0))]))
+        part = section("parts", "Parts", table("name | size::bar", [("k1", Bar(50.0))]))
         answer = Answer("an answer", "paper", "valid", "good", "all of it", sections=sections(part, part))
         write_page(tmp_path / "page.html", answer, Provenance("zygos", "1", ()))
         text = (tmp_path / "page.html").read_text()

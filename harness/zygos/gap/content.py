@@ -218,7 +218,12 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
         ],
         "simulation": simulation_json(found.simulated),
         "zeros": [
-            {"name": name, "unit": "rad/s" if name.startswith("gyro") else "rad", "value": value}
+            {
+                "name": name,
+                "unit": "rad/s" if name.startswith("gyro") else "rad",
+                "value": value,
+                "certain": one.certain,
+            }
             for one in found.remarks
             if isinstance(one, ZerosOff)
             for name, value in one.zeros

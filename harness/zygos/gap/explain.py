@@ -226,7 +226,7 @@ class _Explainer:
             gap,
             local,
             adopted,
-            tuple(self.remarks),
+            _certain(self.remarks, verdict),
             self.validate,
         )
 
@@ -982,6 +982,12 @@ def _explains_more(wider: Search, found: Search) -> bool:
     """Whether a search among more entries leaves less over, by more than a trifle."""
     share, before = (min(one.completeness) if one.named else 0.0 for one in (wider, found))
     return share > before + limits.TRIFLE.value or (share >= before and not excess(wider.after) and excess(found.after))
+
+
+def _certain(remarks: Sequence[Remark], verdict: Verdict) -> tuple[Remark, ...]:
+    """The remarks, where zeros of sensors are certain to be off if nothing else has to be assumed beside them."""
+    alone = isinstance(verdict, NothingMissing | ValuesDiffer)
+    return tuple(replace(one, certain=alone) if isinstance(one, ZerosOff) else one for one in remarks)
 
 
 def _between_runs(study: Study, hypothesis: Hypothesis, part: Callable[[Array], Array]) -> Array:

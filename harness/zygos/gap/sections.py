@@ -271,7 +271,7 @@ def _gap(x: Explanation) -> list[Content | None]:
             f"predicts the next {horizon} s of an untouched run, from a state fitted to the {horizon} s before; over "
             f"{len(gap.segments.tau)} segments and all sensors. {said}"
         ),
-        table("::bar | rms, σ::main", rows, ticks=scale.ticks, one=scale.at(1.0)),
+        table("model | ::bar | rms, σ::main", rows, ticks=scale.ticks, one=scale.at(1.0)),
         Text(
             "rms in σ, powers of ten; dotted tick: median of the segments, full tick: their 90th percentile; dashed "
             "line: σ itself.",

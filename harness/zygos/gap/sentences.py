@@ -383,7 +383,12 @@ def remark(found: Remark) -> str:  # noqa: PLR0911, PLR0912  (one sentence a rem
             )
         case ZerosOff():
             zeros = ", ".join(_zero(column, by) for column, by in found.zeros)
-            return f"zeros of the sensors are off: {zeros}; predictions are made with that taken off"
+            if found.certain:
+                return f"zeros of the sensors are off: {zeros}; predictions are made with that taken off"
+            return (
+                f"either zeros of the sensors are off ({zeros}), or an effect that the model lacks looks like it: take "
+                "the zeros of the encoders at rest; predictions are made with that taken off"
+            )
         case GainOff():
             return (
                 f"the torque of the {found.joint} reads {100.0 * found.share:+.2g} % against that of the "

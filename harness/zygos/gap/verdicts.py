@@ -273,10 +273,12 @@ class DrawingPredictsBetter:
 
 @dataclass(frozen=True)
 class ZerosOff:
-    """Zeros of the sensors that are off by more than the arm file admits."""
+    """Zeros of the sensors that are off by more than the arm file admits, or look like it."""
 
     zeros: tuple[tuple[str, float], ...]
     """Columns, and by how much: rad, of the gyro rad/s."""
+    certain: bool = False
+    """Whether nothing else is missing beside them. Zeros may stand for an effect that the model lacks."""
 
 
 @dataclass(frozen=True)
