@@ -404,3 +404,18 @@ def test_a_joint_whose_torque_is_hardly_more_than_noise_is_not_evaluated() -> No
     assert [one.evaluated for one in found.joints] == [True, False]
     assert found.share == pytest.approx(found.joints[0].share)
     assert found.as_dict()["joints"][1]["evaluated"] is False
+
+
+def test_a_joint_that_noise_dominates_does_not_decide_an_estimate() -> None:
+    """All of its torque is left, which says nothing of the other joint."""
+    arm, model, *_ = _setup(2)
+    runs = []
+    for k in range(2):
+        run = recorded(arm, model, path=k, seed=k, seconds=10.0)
+        loud = np.random.default_rng(k).normal(0.0, 1.0, len(run)) * np.std(run.cycles.tau[:, 1]) * 30.0
+        tau = run.cycles.tau + np.stack([np.zeros(len(run)), loud], axis=1)
+        runs.append(replace(run, frames=None, table=replace(run.cycles, tau=tau)))
+    found = estimate_ground(runs)
+    assert found.evaluated.tolist() == [True, False]
+    assert found.solution.share[1] > 0.5 and "% of the held-out torque" not in found.reason
+    assert [one["evaluated"] for one in found.as_dict()["joints"]] == [True, False]

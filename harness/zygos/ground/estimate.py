@@ -154,6 +154,15 @@ class GroundEstimate:
         return np.asarray(self.solution.sigma_w / (self.arm.period_s * np.sqrt(steps) * self.arm.gear_ratios))
 
     @property
+    def evaluated(self) -> NDArray[np.bool_]:
+        """(N,) whether the torque of a joint is large enough beside its noise for shares of it to say something; all
+        where none is."""
+        squares = (np.mean(part**2, axis=0) for part in (self.solution.measured, self.solution.residual))
+        measured, residual = (np.sqrt(square) for square in squares)
+        few = measured * self.excess < limits.EVALUATED.value * residual
+        return np.asarray(~few if not few.all() else np.ones_like(few), dtype=np.bool_)
+
+    @property
     def validity(self) -> str:
         """One of "valid", "partial", "doubtful" and "refused"."""
         return self._verdict[0]
@@ -170,16 +179,17 @@ class GroundEstimate:
 
     @property
     def _verdict(self) -> tuple[str, str, str]:
-        share, joints = self.solution.share, self.arm.joints
+        seen, joints = self.evaluated, self.arm.joints
+        share = np.where(seen, self.solution.share, 0.0)
         worst = int(np.argmax(share))
         if self.elsewhere is not None:
             return (
                 "doubtful",
-                f"gravity in the arm file seems wrong: {100 * rms(share):.2g} % of the held-out torques are left, and "
-                f"{100 * self.elsewhere.share:.2g} % with gravity = {list(self.elsewhere.gravity)}",
+                f"gravity in the arm file seems wrong: {100 * rms(share[seen]):.2g} % of the held-out torques are "
+                f"left, and {100 * self.elsewhere.share:.2g} % with gravity = {list(self.elsewhere.gravity)}",
                 "correct gravity in the arm file; it belongs to the frame of the base",
             )
-        if share.min() >= 1.0:
+        if share[seen].min() >= 1.0:
             return (
                 "refused",
                 f"the model predicts held-out torques worse than none would: {100 * share[worst]:.0f} % are left at "
@@ -193,7 +203,7 @@ class GroundEstimate:
                 f"not physical: {negative}",
                 "check the arm file with `zygos check-arm`, or estimate another law with --friction",
             )
-        if rms(share) > limits.DOUBTFUL.value:
+        if rms(share[seen]) > limits.DOUBTFUL.value:
             return (
                 "doubtful",
                 f"{100 * share[worst]:.0f} % of the held-out torque at {joints[worst].name} are not predicted",
@@ -308,6 +318,7 @@ class GroundEstimate:
                 {
                     "joint": joint.name,
                     "held_out_share": float(s.share[j]),
+                    "evaluated": bool(self.evaluated[j]),
                     "residual_share": float(np.sqrt(np.mean(s.residual[:, j] ** 2) / np.mean(s.measured[:, j] ** 2))),
                     "torque_sigma_nm": float(self.torque_sigma[j]),
                     "noise_ratio": float(self.excess[j]),

@@ -56,7 +56,8 @@ _OF_ESTIMATES = (
     ),
     (
         "Held-out torque left",
-        "is the part of the torque that the parameters of all other blocks do not predict.",
+        "is the part of the torque that the parameters of all other blocks do not predict. A joint with less torque "
+        "than five times its noise is not evaluated.",
     ),
 )
 READING = (
@@ -95,7 +96,8 @@ def estimate_answer(
     lead += [Text(found.remedy, "note", "Remedy")] if found.remedy else []
     lead += [Text(text, "note", "Note") for text in found.notes]
     lead += [Text(f"Not determined by the motion: {', '.join(missing)}.")] if missing else []
-    held_out = ", ".join(number(100 * float(share), 3) for share in found.solution.share)
+    shares = zip(found.solution.share.tolist(), found.evaluated.tolist(), strict=True)
+    held_out = ", ".join(number(100 * share, 3) if seen else "not evaluated" for share, seen in shares)
     facts = Facts(
         (
             Fact("runs", str(len(found.runs))),
@@ -264,8 +266,10 @@ def _joints(found: GroundEstimate) -> Section | None:
         Row(
             (
                 joint.name,
-                number(100 * float(solution.share[j]), 3),
-                number(100 * ratio(float(residual[j]), float(measured[j])), 3),
+                *(
+                    (number(100 * x, 3) if found.evaluated[j] else "not evaluated")
+                    for x in (float(solution.share[j]), ratio(float(residual[j]), float(measured[j])))
+                ),
                 number(float(found.torque_sigma[j]), 3),
                 number(float(found.excess[j]), 3),
                 number(float(solution.cluster[j]), 2),
@@ -341,9 +345,9 @@ def _score_table(score: Score) -> Table | None:
             number(one.sigmas, 3),
             *((f"{number(one.rest_nm, 3)} ({100 * one.rest_share:.0f} % of the time)",) if rests else ()),
             number(one.offset_nm, 2),
-            number(100 * one.raw_share, 3),
+            number(100 * one.raw_share, 3) if one.evaluated else "–",
             number(one.energy_error_j, 3),
-            number(100 * one.energy_share, 3),
+            number(100 * one.energy_share, 3) if one.evaluated else "–",
             *((number(one.spring_nm, 3),) if flexible else ()),
         )
 
