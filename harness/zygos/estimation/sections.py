@@ -39,7 +39,7 @@ from zygos.report.answer import (
     sections,
     table,
 )
-from zygos.report.figures import LogScale, down_to, unit_of, within
+from zygos.report.figures import LogScale, down_to, listed, unit_of
 from zygos.report.page import Entry, joint_colour, numbers, series
 
 if TYPE_CHECKING:
@@ -170,13 +170,7 @@ def answer_of(found: Estimation, *, written: str = "", damage: Sequence[str] = (
             ),
         ),
         drawn=data,
-        brief=tuple(
-            f"{name} {within(x, half)} {unit_of(unit)}".strip()
-            for name, unit, x, half in zip(
-                result.names, result.units, result.value.tolist(), result.half95.tolist(), strict=True
-            )
-            if np.isfinite(x)
-        ),
+        brief=listed(result.names, result.units, result.value.tolist(), result.half95.tolist()),
     )
 
 

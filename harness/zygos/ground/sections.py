@@ -29,7 +29,7 @@ from zygos.report.answer import (
     sections,
     table,
 )
-from zygos.report.figures import LogScale, down_to, unit_of, within
+from zygos.report.figures import LogScale, down_to, listed, unit_of
 from zygos.report.page import Entry, joint_colour, numbers, series, thinned
 
 Floats = NDArray[np.float64]
@@ -119,13 +119,7 @@ def estimate_answer(
         reading=(*_OF_ESTIMATES, *READING),
         sections=sections(*beside, _parameters(found), _joints(found), _across(found), *parts),
         drawn=drawn,
-        brief=tuple(
-            f"{name} {within(x, half)} {unit_of(unit)}".strip()
-            for name, unit, x, half in zip(
-                found.names, found.units, found.value.tolist(), found.half95.tolist(), strict=True
-            )
-            if np.isfinite(x)
-        ),
+        brief=listed(found.names, found.units, found.value.tolist(), found.half95.tolist()),
     )
 
 

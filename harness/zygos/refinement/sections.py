@@ -32,7 +32,7 @@ from zygos.report.answer import (
     sections,
     table,
 )
-from zygos.report.figures import LogScale, down_to, figure, unit_of, within
+from zygos.report.figures import LogScale, down_to, figure, listed, unit_of
 from zygos.report.page import Entry, joint_colour, numbers, series
 
 if TYPE_CHECKING:
@@ -121,14 +121,7 @@ def answer_of(found: Refinement, *, written: str = "", damage: Sequence[str] = (
             *pictures,
         ),
         drawn=drawn,
-        brief=tuple(
-            f"{name} {within(value, half)} {unit_of(unit)}".strip()
-            for name, unit, value, half in zip(
-                found.names, found.units, found.value.tolist(), found.half95.tolist(), strict=True
-            )
-        )
-        if found.published
-        else (),
+        brief=listed(found.names, found.units, found.value.tolist(), found.half95.tolist()) if found.published else (),
     )
 
 

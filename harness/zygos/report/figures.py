@@ -39,6 +39,17 @@ def within(value: float, sigma: float) -> str:
     return f"{down_to(value, sigma)} ± {down_to(sigma, sigma)}" if known else figure(value, 6)
 
 
+def listed(
+    names: Iterable[str], units: Iterable[str], values: Iterable[float], halves: Iterable[float]
+) -> tuple[str, ...]:
+    """Each value that there is, with half of its 95 % interval."""
+    return tuple(
+        f"{name} {within(x, half)} {unit_of(unit)}".strip()
+        for name, unit, x, half in zip(names, units, values, halves, strict=True)
+        if math.isfinite(x)
+    )
+
+
 def unit_of(unit: str) -> str:
     """A unit of a file as people write it; nothing for a pure number."""
     return "" if unit == "1" else UNITS.get(unit, unit.replace("Nms", "N m s").replace("Nm", "N m").replace("^3", "³"))
