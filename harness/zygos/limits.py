@@ -399,6 +399,15 @@ CREEPING_S = Limit("creeping s", 0.2, "s", "trial",
 RANK = Limit("rank", 1e-10, "1", "convention",
     "Smallest pivot, of columns scaled to unit length, with which a combination of columns counts as seen.")
 
+GAIN_PRIOR = Limit("gain prior", 0.1, "1", "convention",
+    "Standard deviation of the gain of a torque sensor against that of the first one, before any run.")
+CURRENT_GAIN_PRIOR = Limit("current gain prior", 1.0, "1", "convention",
+    "The same of a motor current, which is in proportion to the torque by an unknown torque constant.")
+GAIN_ROUNDS = Limit("gain rounds", 40, "1", "convention",
+    "Steps by which gains of torque sensors are found at most.")
+GAIN_STEP = Limit("gain step", 2.0, "1", "convention",
+    "Ratio by which the torque of a sensor may change in one of these steps.")
+
 # Audits of logs
 AUDIT_SURE = Limit("audit sure", 1.5, "1", "trial",
     "Factor by which the unexplained part of the equations must shrink before a fault is reported. In trials with "

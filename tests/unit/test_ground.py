@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ground_support import heavier, recorded, short_arm, torque_of
+from laboratory_support import laboratory_arm
 
 from zygos.arm import Arm, load_arm
 from zygos.can.run import Run, joined
@@ -419,3 +420,25 @@ def test_a_joint_that_noise_dominates_does_not_decide_an_estimate() -> None:
     assert found.evaluated.tolist() == [True, False]
     assert found.solution.share[1] > 0.5 and "% of the held-out torque" not in found.reason
     assert [one["evaluated"] for one in found.as_dict()["joints"]] == [True, False]
+
+
+@pytest.mark.slow(but=["UR10e-Nm"])
+@pytest.mark.parametrize("name", ["UR10e", "Panda"])
+@pytest.mark.parametrize("unit", ["A", "Nm"])
+def test_gains_of_torque_sensors_do_not_multiply_what_is_not_explained_by_zero(name: str, unit: str) -> None:
+    """Drives whose friction grows with the load, which the model lacks: where nothing holds the gains, and a joint is
+    weighted by what its multiplied equation leaves, they become -1."""
+    arm, model = laboratory_arm(name, torque_law="sampled")
+    gain = np.array([0.0, -0.3, -0.15, 0.4, 0.2, -0.3, 0.05][: arm.n]) * (1.0 if unit == "A" else 0.1)
+    runs = []
+    for k in range(2):
+        run = recorded(arm, model, path=k, seed=k, seconds=15.0, more={"load": 0.08})
+        table = replace(run.cycles, tau=run.cycles.tau / (1.0 + gain))
+        runs.append(replace(run, arm=replace(arm, torque_unit=unit), frames=None, table=table))
+    kinds = [CATALOGUE[key] for key in ("motor_coulomb", "motor_viscous")]
+    sensed = friction(arm, [CATALOGUE["torque_gain"]])[1:]
+    found = estimate_ground(runs, effects=(*friction(arm, kinds), *sensed))
+    at = [found.names.index(one.column(arm)) for one in sensed]
+    assert np.all(np.abs(found.solution.value[at] - gain[1:]) < 0.45)
+    assert np.all(found.solution.share > 0.005) and np.all(found.solution.share < 0.2)
+    assert found.validity == "partial" and "not noise" in found.reason

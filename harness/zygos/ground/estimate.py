@@ -522,11 +522,20 @@ def _rows(sums: Sequence[Sums]) -> Floats:
 
 
 def _by_angles(sums: Sequence[Sums], solution: Solution) -> Floats:
-    """(N,) squared residuals that the declared noise of the angles causes."""
+    """(N,) squared residuals of the torque as it is reported that the declared noise of the angles causes."""
     noise = np.sum([one.noise.sum(axis=0) for one in sums], axis=0)
     moved = np.array([[bool(one[k, :-1].any() and not one[k, -1]) for k in range(len(one) - 2)] for one in noise])
     value = np.where(moved, solution.value, 0.0)
-    return np.asarray(np.einsum("jp,jpq,jq->j", value, noise[:, :-2, :-2], value), dtype=np.float64)
+    squares = np.einsum("jp,jpq,jq->j", value, noise[:, :-2, :-2], value)
+    return np.asarray(squares / _gained(sums[0], solution.value) ** 2, dtype=np.float64)
+
+
+def _gained(sums: Sums, value: Floats) -> Floats:
+    """(N,) 1 + g of the gain of each torque sensor."""
+    out = np.ones(sums.gram.shape[1])
+    for joint, column in sums.gains:
+        out[joint] += value[column]
+    return out
 
 
 def _with_other_cutoffs(
@@ -560,15 +569,16 @@ def _across(sums: Sequence[Sums]) -> Floats:
 
 
 def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
-    """(N,) squared residuals of a run with its own offset, and its squared impulse less that offset."""
-    gram = sums.gram.sum(axis=0) + sums.noise.sum(axis=0)
+    """(N,) squared residuals of a run with its own offset, and its squared impulse less that offset, both of the torque
+    as it is reported."""
+    gram, gained = sums.gram.sum(axis=0) + sums.noise.sum(axis=0), _gained(sums, value)
     x = np.append(value, 0.0)
     left, whole = np.zeros(len(gram)), np.zeros(len(gram))
     for j, own in enumerate(gram):
         x[-1] = (own[-2, -1] - own[-2, :-2] @ value) / own[-2, -2]
         full = np.append(-x, 1.0)
-        bare = np.append(np.zeros(len(value)), [-x[-1], 1.0])
-        left[j], whole[j] = full @ own @ full, bare @ own @ bare
+        bare = np.append(np.zeros(len(value)), [-x[-1] / gained[j], 1.0])
+        left[j], whole[j] = full @ own @ full / gained[j] ** 2, bare @ own @ bare
     return left, whole
 
 

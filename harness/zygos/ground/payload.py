@@ -212,6 +212,7 @@ def _changed(sums: Sums, values: Floats, base: Floats) -> Sums:
     turn[: p + extra, -1] = -values
     return replace(
         sums,
+        gains=(),
         gram=turn.T @ sums.gram @ turn,
         noise=turn.T @ sums.noise @ turn,
         total=sums.total @ turn,

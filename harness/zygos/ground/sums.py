@@ -31,6 +31,10 @@ class Sums:
     """(K, N) rows."""
     apart: NDArray[np.int64]
     """(K, N) rows that do not overlap."""
+    gains: tuple[tuple[int, int], ...] = ()
+    """Joint and column of each torque sensor whose gain is estimated; the column is the negative impulse."""
+    currents: bool = False
+    """Whether torques are motor currents, of which only products with unknown torque constants are torques."""
 
     @property
     def blocks(self) -> int:
@@ -55,4 +59,12 @@ def sums_of(run: RunRows, blocks: int) -> Sums:
         totals.append(every.sum(axis=0))
         counts.append(rows[part].sum(axis=0))
         aparts.append(rows[part[::2]].sum(axis=0))
-    return Sums(np.stack(grams), np.stack(noises), np.stack(totals), np.array(counts), np.array(aparts))
+    return Sums(
+        np.stack(grams),
+        np.stack(noises),
+        np.stack(totals),
+        np.array(counts),
+        np.array(aparts),
+        run.gains,
+        run.motion.arm.torque_unit == "A",
+    )
