@@ -32,7 +32,7 @@ from zygos.gap.ground.picture import write_picture
 from zygos.gap.ground.predictions import run_name
 from zygos.gap.ground.sections import answer_of
 from zygos.ground.estimate import GroundEstimate, estimate_ground
-from zygos.ground.score import Score, score
+from zygos.ground.score import Score, beside, score
 from zygos.ground.sections import estimate_answer
 from zygos.model.model import load_model, save_model
 from zygos.report.answer import Answer, Row, Text, section, sections, table
@@ -155,7 +155,7 @@ def compared(found: GroundEstimate, learned: Sequence[Run], example: Path = EXAM
     batch = idim(learned, found.effects, cutoff)
     held_out = []
     for (name, limits), own in zip(LIMITS.items(), found.validated, strict=True):
-        theirs: tuple[Score, Score] = (batch.score(own.run), score(own.run, published))
+        theirs: tuple[Score, Score] = (beside(batch.score(own.run), own), beside(score(own.run, published), own))
         for joint, limit, by_batch, by_published in zip(
             own.joints, limits, theirs[0].joints, theirs[1].joints, strict=True
         ):

@@ -424,13 +424,13 @@ def estimate_ground(
         noise_share=_noise_share(sums, solution),
         excess=_excess(arm, motions, sums, solution, span),
         without_run=np.array(without),
-        across=_across(sums) if len(runs) > 1 else np.zeros((0, 0)),
+        across=_across(sums, solution) if len(runs) > 1 else np.zeros((0, 0)),
         smoothing=smoothing,
         doubtful=doubtful,
         prior=model,
     )
     if found.excess.max() > limits.EXCESS_OF_NOISE.value:
-        found = replace(found, elsewhere=_gravity_elsewhere(arm, runs, wanted, span, rms(solution.share)))
+        found = replace(found, elsewhere=_gravity_elsewhere(arm, runs, wanted, span, solution))
     if validate and found.validity != "refused":
         whole = replace(found, doubtful=True).to_model()
         found = replace(found, validated=tuple(score(run, complete(whole, arm)) for run in validate))
@@ -439,9 +439,11 @@ def estimate_ground(
 
 
 def _gravity_elsewhere(
-    arm: Arm, runs: Sequence[Run], effects: Sequence[Effect], span: float, left: float
+    arm: Arm, runs: Sequence[Run], effects: Sequence[Effect], span: float, found: Solution
 ) -> Elsewhere | None:
-    """Gravity along another axis of the base, or along none, if it leaves less than a third of what is left."""
+    """Gravity along another axis of the base, or along none, if it leaves less than a third of what is left. Shares are
+    of what was measured less the offset that was found: another gravity has another offset."""
+    left = rms(found.share)
     size = float(np.linalg.norm(arm.gravity)) or _GRAVITY
     best: Elsewhere | None = None
     for axis in ((0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0, -1, 0), (-1, 0, 0), (0, 0, 0)):
@@ -453,7 +455,7 @@ def _gravity_elsewhere(
             _, solution, _ = _solved(motions, span, effects)
         except ZygosError:
             continue
-        share = rms(solution.share)
+        share = rms(replace(solution, measured=found.measured).share)
         if share < min(left / 3.0, best.share if best is not None else 1.0):
             best = Elsewhere(gravity, share)
     return best
@@ -554,8 +556,9 @@ def _with_other_cutoffs(
     return np.array(out)
 
 
-def _across(sums: Sequence[Sums]) -> Floats:
-    """(R, R) what the values of each run alone leave of the impulse of every run, by the weight of the joints."""
+def _across(sums: Sequence[Sums], solution: Solution) -> Floats:
+    """(R, R) what the values of each run alone leave of the impulse of every run less its offset in the estimate from
+    all, by the weight of the joints."""
     table = np.full((len(sums), len(sums)), np.nan)
     for a, own in enumerate(sums):
         try:
@@ -563,23 +566,20 @@ def _across(sums: Sequence[Sums]) -> Floats:
         except Undecided:
             continue
         for b, other in enumerate(sums):
-            left, whole = _left(other, alone.value)
-            table[a, b] = float(np.sqrt(np.mean(left / np.maximum(whole, 1e-300))))
+            whole = solution.measured[b] ** 2 * np.maximum(other.count.sum(axis=0), 1)
+            table[a, b] = float(np.sqrt(np.mean(_left(other, alone.value) / np.maximum(whole, 1e-300))))
     return table
 
 
-def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
-    """(N,) squared residuals of a run with its own offset, and its squared impulse less that offset, both of the torque
-    as it is reported."""
-    gram, gained = sums.gram.sum(axis=0) + sums.noise.sum(axis=0), _gained(sums, value)
-    x = np.append(value, 0.0)
-    left, whole = np.zeros(len(gram)), np.zeros(len(gram))
+def _left(sums: Sums, value: Floats) -> Floats:
+    """(N,) squared residuals of a run with its own offset, of the torque as it is reported."""
+    gram, x = sums.gram.sum(axis=0) + sums.noise.sum(axis=0), np.append(value, 0.0)
+    left = np.zeros(len(gram))
     for j, own in enumerate(gram):
         x[-1] = (own[-2, -1] - own[-2, :-2] @ value) / own[-2, -2]
         full = np.append(-x, 1.0)
-        bare = np.append(np.zeros(len(value)), [-x[-1] / gained[j], 1.0])
-        left[j], whole[j] = full @ own @ full / gained[j] ** 2, bare @ own @ bare
-    return left, whole
+        left[j] = full @ own @ full
+    return np.asarray(left / _gained(sums, value) ** 2, dtype=np.float64)
 
 
 def _excess(arm: Arm, motions: Sequence[Motion], sums: Sequence[Sums], solution: Solution, span: float) -> Floats:

@@ -86,6 +86,8 @@ class Score:
     """(m, N) Nm."""
     resting: NDArray[np.bool_]
     """(m, N) where a joint rests."""
+    arm_energy_error_j: float
+    """Root mean square of what the energy of the whole arm leaves of the work in one second, J."""
 
     @property
     def share(self) -> float:
@@ -162,6 +164,26 @@ def with_floor(found: Score, floor_nm: Floats) -> Score:
     )
 
 
+def beside(found: Score, other: Score) -> Score:
+    """The score with shares of what was measured less the offset of another model, by which both can be compared: each
+    model has an offset of its own, and what is measured beside a large one is large."""
+
+    def of(part: float, error: float, share: float) -> float:
+        return _ratio(part, _ratio(error, share))
+
+    joints = tuple(
+        replace(
+            one,
+            measured_nm=two.measured_nm,
+            share=_ratio(one.error_nm, two.measured_nm),
+            energy_share=of(one.energy_error_j, two.energy_error_j, two.energy_share),
+        )
+        for one, two in zip(found.joints, other.joints, strict=True)
+    )
+    work = of(found.arm_energy_error_j, other.arm_energy_error_j, other.arm_energy_share)
+    return replace(found, joints=joints, arm_energy_share=work)
+
+
 def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Sequence[Effect], motion: Motion) -> Score:
     """The score of parameters in the order of the arm, and of effects, on torque rows."""
     arm = run.arm
@@ -199,18 +221,19 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
             )
         )
     whole = ((rows.tau - offset) * rows.state.qd).sum(axis=1)[kept]
-    lost = ((error - offset) * rows.state.qd).sum(axis=1)[kept]
+    all_lost = rms(_work(((error - offset) * rows.state.qd).sum(axis=1)[kept], window, h))
     return Score(
         run=run,
         model=name,
         cutoff_hz=rows.cutoff_hz,
         increment_s=None,
-        arm_energy_share=_ratio(rms(_work(lost, window, h)), rms(_work(whole, window, h))),
+        arm_energy_share=_ratio(all_lost, rms(_work(whole, window, h))),
         joints=tuple(scores),
         t=np.asarray(np.flatnonzero(kept) * h, dtype=np.float64),
         measured=(rows.tau - offset)[kept],
         predicted=predicted[kept],
         resting=resting[kept],
+        arm_energy_error_j=all_lost,
     )
 
 
@@ -253,6 +276,7 @@ def _by_increments(run: Run, model: Model) -> Score:
         measured=own.measured - offset,
         predicted=own.predicted,
         resting=np.zeros(own.predicted.shape, dtype=np.bool_),
+        arm_energy_error_j=rms(own.work_left),
     )
 
 

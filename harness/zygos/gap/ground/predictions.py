@@ -16,7 +16,7 @@ from zygos.gap.adopted import Check, no_worse
 from zygos.gap.remainder import explained_share
 from zygos.gap.verdicts import Remainder
 from zygos.ground.motion import Motion, TorqueRows, cutoff_hz, torque_rows
-from zygos.ground.score import Score, scored, with_floor
+from zygos.ground.score import Score, beside, scored, with_floor
 from zygos.ground.twin import floor
 from zygos.model.model import Model
 
@@ -96,7 +96,7 @@ class Prediction:
     def closed_by(self, stage: Stage) -> Prediction:
         """With another model as the one that was found."""
         found = scored(self.run, stage.name, self.rows, stage.values, stage.effects, self.motion)
-        return replace(self, closed=with_floor(found, self.floor_nm))
+        return replace(self, closed=beside(with_floor(found, self.floor_nm), self.plain))
 
     def comparisons(self) -> tuple[Check, ...]:
         """The model found beside the best baseline: torques in units of their floors, in the median over stretches
@@ -145,6 +145,7 @@ def predict(run: Run, delivered: Stage, refit: Stage, plain: Stage) -> Predictio
     best, _ = min(zip(stages, scores, strict=True), key=lambda each: _squares(each[1]))
     least = floor(motion, rows, best.values, best.effects)
     closed = with_floor(third, np.array([joint.error_nm for joint in least.joints]))
+    first, second = beside(first, third), beside(second, third)
     return Prediction(run, motion, rows, first, second, third, closed, least)
 
 
