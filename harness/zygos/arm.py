@@ -252,6 +252,9 @@ class Arm:
     """Unit of the reported torques. "A": they are motor currents, whose torque constants nobody knows."""
     torque_averaged: bool = False
     """Whether a sampled torque is the mean over the period about its instant."""
+    torque_scale_sigma: float = 0.0
+    """Standard deviation of the error that all torques have in common, as a share of them. No run shows it. 0: nothing
+    is known of it, and no interval contains it."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
     nadir: tuple[float, float, float] | None = None
@@ -562,6 +565,15 @@ def read_arm(top: Table) -> Arm:
             'Whether the torques, with the torque_law "sampled", are means over the period about the SYNC, as `zygos '
             "convert` makes them of a faster recording. Friction is then averaged likewise in estimates on the ground.",
             False,
+        ),
+        torque_scale_sigma=top.number(
+            "torque_scale_sigma",
+            "Standard deviation of the error that all torques have in common, as a share of them, by a calibration. No "
+            "run shows it. The interval of a payload contains it.",
+            0.0,
+            low=0.0,
+            high=1.0,
+            unit="1",
         ),
         joints=joints,
         imu=imu,
@@ -1008,6 +1020,8 @@ def save_arm(arm: Arm, path: str | Path) -> None:
         document["torque_unit"] = arm.torque_unit
     if arm.torque_averaged:
         document["torque_averaged"] = True
+    if arm.torque_scale_sigma:
+        document["torque_scale_sigma"] = arm.torque_scale_sigma
     if not arm.free:
         document["gravity"] = list(arm.gravity)
     if arm.nadir is not None:

@@ -8,13 +8,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_support import run
 from ground_support import heavier, recorded, short_arm
 
 from zygos.arm import Arm, save_arm
 from zygos.can.run import save_run
-from zygos.model.model import load_model, save_model
+from zygos.model.model import Model, load_model, save_model
 
 ROOT = Path(__file__).parents[2]
 
@@ -117,6 +118,30 @@ def test_each_run_has_the_noise_that_is_declared_beside_it(folder: Path, tmp_pat
     assert beside["floor_nm"] > 2.0 * declared["floor_nm"]  # quanta and filters are in it, too
     assert beside["sigmas"] == pytest.approx(beside["error_nm"] / beside["floor_nm"])
     assert beside["error_nm"] == pytest.approx(declared["error_nm"], rel=1e-9)
+
+
+def test_a_payload_since_a_partial_model_says_what_it_rests_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the motion of the empty arm did not determine is assumed to be anything of its size."""
+    arm, model = short_arm(3)
+    save_run(recorded(arm, heavier(model, 2.0, (0.0, 0.05, 0.1)), path=1, seed=3, seconds=8.0), tmp_path / "loaded.blf")
+    known = model.base_parameters(arm)
+    lacking = "Ixy3" if "Ixy3" in known else list(known)[-1]
+    partly = Model("partly", parameters={k: v for k, v in known.items() if k != lacking}, effects=model.effects)
+    save_model(partly, tmp_path / "partly.toml")
+    widths = []
+    for sigma in (0.0, 0.1):
+        save_arm(replace(arm, torque_scale_sigma=sigma), tmp_path / "arm.toml")
+        given = (tmp_path / "loaded.blf", "--since", tmp_path / "partly.toml", "-o", tmp_path / "m.toml")
+        assert run("estimate", *given, "--json", tmp_path / "p.json") == 0
+        said, found = capsys.readouterr().out, json.loads((tmp_path / "p.json").read_text())
+        mass = next(one for one in found["parameters"] if one["name"] == "m3")
+        assert found["lacking"] == [lacking] and lacking in said and "torque_scale_sigma" in said
+        assert abs(mass["value"] - 2.0) < 4.0 * mass["sigma"]
+        assert set(load_model(tmp_path / "m.toml").parameters) == set(known) - {lacking}
+        widths.append(mass["half95"])
+    assert widths[1] == pytest.approx(np.hypot(widths[0], 1.96 * 0.1 * mass["value"]), rel=0.01)
 
 
 def test_a_recording_is_given_once(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

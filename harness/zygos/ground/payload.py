@@ -13,7 +13,7 @@ from zygos import limits
 from zygos.arm import Arm, Parameter
 from zygos.can.run import Run
 from zygos.errors import Undecided, ZygosError
-from zygos.ground.estimate import SPANS_S, load_rounds, predicted_torque
+from zygos.ground.estimate import SPANS_S, load_rounds, predicted_torque, sizes
 from zygos.ground.motion import Motion
 from zygos.ground.rows import run_rows
 from zygos.ground.solution import Solution, solve
@@ -49,6 +49,8 @@ class Payload:
     slope: Floats
     """(r, p + e) change of each value per unit of an error of the model's base parameters and effects."""
     span_s: float
+    lacking: tuple[str, ...] = ()
+    """Base parameters that the model does not have: they are taken as 0, with a deviation of their size."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -62,19 +64,37 @@ class Payload:
 
     @property
     def sigma(self) -> Floats:
-        """(r,) standard deviations."""
-        return self.solution.sigma
+        """(r,) standard deviations, with that of the scale of all torques where the arm file declares it."""
+        return np.hypot(self.solution.sigma, self.arm.torque_scale_sigma * np.abs(self.value))
 
     @property
     def half95(self) -> Floats:
         """(r,) half widths of the 95 % intervals."""
-        return self.solution.half(limits.CONFIDENCE.value)
+        scale = limits.INTERVAL_Z.value * self.arm.torque_scale_sigma * np.abs(self.value)
+        return np.hypot(self.solution.half(limits.CONFIDENCE.value), scale)
 
     @property
     def found(self) -> bool:
         """Whether the arm carries more or less than in the model: some value differs from 0 beyond chance."""
         limit = float(student_isf(0.00135 / len(self.names), max(2.0, float(self.solution.freedom.min()))))
-        return bool(np.any(np.abs(self.value) > limit * self.sigma))
+        return bool(np.any(np.abs(self.value) > limit * self.solution.sigma))
+
+    @property
+    def rests_on(self) -> str:
+        """What the values take for granted, in words."""
+        scale = self.arm.torque_scale_sigma
+        said = (
+            f"the interval contains an error of {100 * scale:.2g} % that all torques have in common "
+            "(torque_scale_sigma)"
+            if scale
+            else "the values are in proportion to the scale of the torques, of which nothing is declared "
+            "(torque_scale_sigma in the arm file)"
+        )
+        if self.lacking:
+            said += (
+                f"; the model has no value of {', '.join(self.lacking)}: 0 is assumed, with a deviation of their size"
+            )
+        return said
 
     @property
     def relative(self) -> bool:
@@ -93,14 +113,16 @@ class Payload:
         quantities = {
             name: Quantity(one.value + float(more), float(wide), "zygos", one.unit)
             for (name, one), more, wide in zip(own.items(), self.base @ self.value, sigma[: len(own)], strict=True)
+            if name not in self.lacking
         }
         effects = self.since.effects
         names = [*own, *(effect.column(self.arm) for effect in effects)]
+        kept = [k for k, name in enumerate(names) if name not in self.lacking]
         return Model(
             name=self.since.name,
             parameters=quantities,
             effects=effects,
-            correlation=Correlation.of(names, covariance),
+            correlation=Correlation.of([names[k] for k in kept], covariance[np.ix_(kept, kept)]),
         )
 
     def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -111,6 +133,8 @@ class Payload:
             "estimator": "payload",
             "found": self.found,
             "relative": self.relative,
+            "rests_on": self.rests_on,
+            "lacking": list(self.lacking),
             "runs": [str(run.path) if run.path else None for run in self.runs],
             "increment_s": self.span_s,
             "parameters": [
@@ -142,6 +166,7 @@ def payload(runs: Sequence[Run], since: Model) -> Payload:
     Errors: ZygosError where the lengths of the arm are not known, or the model does not fit it.
     """
     arm = runs[0].arm
+    since, lacking = _completed(since, arm)
     structure = arm.structure
     if structure.candidates_are_full:
         raise ZygosError(
@@ -183,7 +208,24 @@ def payload(runs: Sequence[Run], since: Model) -> Payload:
         scatter=scatter,
         slope=slope,
         span_s=span,
+        lacking=lacking,
     )
+
+
+def _completed(model: Model, arm: Arm) -> tuple[Model, tuple[str, ...]]:
+    """The model with 0 for the base parameters that it lacks, each with a deviation of the largest value in the same
+    unit of the same body, or of the arm; and their names."""
+    names, units = arm.parameter_names, arm.parameter_units
+    lacking = () if model.bodies else tuple(name for name in names if name not in model.parameters)
+    if not lacking or len(lacking) == len(names):
+        return model, ()
+    values = np.array([model.parameters[name].value if name not in lacking else 0.0 for name in names])
+    of_arm = {unit: max(abs(x) for x, own in zip(values, units, strict=True) if own == unit) for unit in units}
+    known = dict(model.parameters)
+    for name, unit, size in zip(names, units, sizes(names, units, values).tolist(), strict=True):
+        if name in lacking:
+            known[name] = Quantity(0.0, size or of_arm[unit], unit=unit)
+    return replace(model, parameters={name: known[name] for name in [*names, *(set(known) - set(names))]}), lacking
 
 
 def _slope(sums: Sequence[Sums], base: Floats, sigma: Floats) -> Floats:

@@ -126,6 +126,7 @@ def estimate_answer(
 def payload_answer(found: Payload, *, written: str = "") -> Answer:
     """The answer of an estimate of a payload. written: what became of the model, in words."""
     lead = [Text(f"{written}.", "lead")] if written else []
+    lead.append(Text(f"{found.rests_on[0].upper()}{found.rests_on[1:]}.", "note"))
     if found.relative:
         lead.append(
             Text(
