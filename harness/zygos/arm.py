@@ -515,7 +515,8 @@ def read_arm(top: Table) -> Arm:
     kinetic = top.choice(
         "kinetic",
         'How the arm moves. "spatial": the axes have any direction. "planar": all axes are parallel. '
-        '"planar-symmetric": as "planar", and the mass centre of each body lies on the line between its joints.',
+        '"planar-symmetric": as "planar", and the mass centre of each body lies on the line between its joints; '
+        "not under gravity.",
         _KINETICS,
     )
     imu = NO_IMU
@@ -1008,6 +1009,12 @@ def _check_geometry(arm: Arm, top: Table) -> None:
                 'the joints of the stretched arm lie on no line, but kinetic is "planar-symmetric"',
                 'write kinetic = "planar", or count the link angles from the stretched posture',
             )
+    if arm.kinetic == "planar-symmetric" and not arm.free and any(arm.gravity):
+        raise top.error(
+            "kinetic",
+            'is "planar-symmetric", but under gravity the estimate leaves open where mass centres lie',
+            'write kinetic = "planar"',
+        )
 
 
 def save_arm(arm: Arm, path: str | Path) -> None:

@@ -381,7 +381,7 @@ CUTOFF_MOVES = Limit("cutoff moves", 2.0, "1", "trial",
 OTHER_CUTOFFS = Limit("other cutoffs", (0.7, 1.4), "1", "convention",
     "Other spans of the smoother, as multiples of the chosen one, with which an estimate is compared.")
 DOUBTFUL = Limit("doubtful", 0.5, "1", "convention",
-    "Half width over its value from which on a value is doubtful.")
+    "Share of the held-out torque of a joint that is left, above which an estimate on the ground is doubtful.")
 TORQUE_NOISE = Limit("torque noise", 0.1, "1", "convention",
     "Largest noise of the mean torques as a share of their root mean square.")
 HIGHEST_CUTOFF_HZ = Limit("highest cutoff hz", 10.0, "Hz", "convention",

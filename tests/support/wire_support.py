@@ -20,11 +20,12 @@ def arm_text(
     *,
     gyro: str | None = "fine",
     imu_node: int = 9,
-    kinetic: str = "planar-symmetric",
+    kinetic: str = "",
     period_s: float = 0.02,
 ) -> str:
     """An arm file with these joints; a fixed base where there is no gyro. Each joint has zeros and a latch of its own,
     and every second one counts backwards."""
+    kinetic = kinetic or ("planar" if gyro is None else "planar-symmetric")
     base = 'base = "fixed"\ngravity = [0, -9.81, 0]' if gyro is None else 'base = "free"'
     lines = [f'name = "made up"\n{base}\nkinetic = "{kinetic}"\nperiod_s = {period_s}']
     lines.append('torque_law = "sampled"\ntorque_at = "rotor"')

@@ -284,3 +284,18 @@ def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_pa
     assert shares[0][1] < 0.15
     assert shares[1][0] > 0.35
     assert shares[1][1] < 0.18
+
+
+@pytest.mark.parametrize(("inertia", "answer"), [(0.0, "named"), (1e-12, "values differ")])
+def test_a_rotor_without_inertia_is_found_as_such(inertia: float, answer: str) -> None:
+    """A drawing may say that it has none, and no friction is named in its place."""
+    arm, model = short_arm(3)
+    drives = (*model.joints[:2], replace(model.joints[2], rotor_inertia=Quantity(inertia)))
+    runs = [recorded(arm, model, path=k, seed=k, seconds=8.0) for k in range(3)]
+    found = explain_ground(arm, replace(model, joints=drives), runs[:2], runs[2:])
+    assert found.answer == answer and "Im3" in found.sentence + "Im3" * (answer == "named")
+    assert {one.kind for one in found.findings} <= {"rotor_inertia"}
+    assert found.model is not None
+    true = model.joints[2].rotor_inertia.value
+    assert found.model.base_parameters(arm)["Im3"].value == pytest.approx(true, rel=0.05)
+    assert "e+" not in found.sentence

@@ -459,3 +459,19 @@ def test_gravity_is_not_blamed_because_it_needs_a_large_offset(monkeypatch: pyte
         runs.append(replace(run, frames=None, table=replace(run.cycles, tau=tau)))
     found = estimate_ground(runs)
     assert found.validity == "doubtful" and found.elsewhere is None, found.reason
+
+
+def test_one_joint_of_which_most_is_left_makes_an_estimate_doubtful() -> None:
+    """The mean over the joints may be small."""
+    arm, model, *_ = _setup()
+    runs = []
+    for k in range(2):
+        run = recorded(arm, model, path=k, seed=k, seconds=10.0)
+        q = run.cycles.theta[:, 2]
+        tau = run.cycles.tau.copy()
+        tau[:, 2] += 1.5 * np.std(tau[:, 2]) * np.sin(15.0 * q)
+        runs.append(replace(run, frames=None, table=replace(run.cycles, tau=tau)))
+    found = estimate_ground(runs)
+    assert found.solution.share[:2].max() < 0.2 and found.solution.share[2] > 0.5
+    assert np.sqrt(np.mean(found.solution.share**2)) < 0.5
+    assert found.validity == "doubtful" and "held-out torque at joint3" in found.reason

@@ -121,7 +121,7 @@ def test_without_lengths_an_arm_lacks_what_its_axes_leave_out(name: str) -> None
 
 EXAMPLES = {
     **{name: (12, 12) for name in ("gap", "lively", "paper", "telemetry")},
-    **{"spatial": (54, 54), "seven": (174, 174), "pendulum": (8, 7)},
+    **{"spatial": (54, 54), "seven": (174, 174), "pendulum": (9, 7)},
 }
 """Full and base parameters of each example's arm."""
 
@@ -479,8 +479,9 @@ def test_places_of_joints_are_written_and_read(torque_at: Any, tmp_path: Path) -
         (lambda arm: replace(arm, kinetic="planar-symmetric",
                              joints=(*arm.joints[:2], replace(arm.joints[2], position_m=(0.2, 0.1, 0.0)))),
          r"joint\.position_m: the joints of the stretched arm lie on no line.*; remedy: "),
+        (lambda arm: replace(arm, kinetic="planar-symmetric"), r'kinetic.*under gravity.*write kinetic = "planar"'),
     ],
-    ids=["some", "flexible", "off the line"],
+    ids=["some", "flexible", "off the line", "symmetric under gravity"],
 )  # fmt: skip
 def test_files_that_contradict_themselves_are_refused(change: Any, said: str, tmp_path: Path) -> None:
     save_arm(change(arm_of(frames_of("SCARA3R"), kinetic="planar")), tmp_path / "arm.toml")

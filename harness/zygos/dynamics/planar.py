@@ -142,7 +142,7 @@ class PlanarDynamics(Drives):
         right[..., :-1] -= force + (np.where(self.rigid, 0.0, pushed) if rigid else pushed)
         absolute = np.asarray(np.linalg.solve(inertia + self.rotor_mass, right[..., None])[..., 0], dtype=np.float64)
         joint = absolute[..., 1:] - absolute[..., :-1]
-        motor = (ratio * drive - spring) / (ratio * ratio * self.rotor_inertia)
+        motor = (ratio * drive - spring) / (ratio * ratio * np.where(self.rigid, 1.0, self.rotor_inertia))
         motor -= self.coupling * absolute[..., :-1] / ratio
         return absolute[..., 0], joint, np.where(self.rigid, joint, motor) if rigid else motor
 

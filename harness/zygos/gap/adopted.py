@@ -87,7 +87,14 @@ def possible(arm: Arm, model: Model) -> tuple[Check, ...]:
     """
     values = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
     checks = [
-        Check(name, values[name], unit, lowest=0.0 if one.symbol == "b" else limits.LEAST_INERTIA.value)
+        Check(
+            name,
+            values[name],
+            unit,
+            lowest=0.0
+            if one.symbol == "b" or (one.symbol == "Im" and not arm.joints[one.joint].flexible)
+            else limits.LEAST_INERTIA.value,
+        )
         for name, unit, one in zip(arm.parameter_names, arm.parameter_units, arm.parameters, strict=True)
         if one.joint is not None and one.symbol in ("Im", "k", "b")
     ]

@@ -37,8 +37,10 @@ class Value:
 
     @property
     def change(self) -> float:
-        """Relative difference."""
-        return self.found / self.delivered - 1.0 if self.delivered and np.isfinite(self.delivered) else np.nan
+        """Relative difference; NaN where the value that was delivered is hardly one."""
+        if not np.isfinite(self.delivered) or abs(self.delivered) < limits.MATERIAL_DIFFERENCE.value * abs(self.found):
+            return np.nan
+        return self.found / self.delivered - 1.0 if self.delivered else np.nan
 
     @property
     def absent(self) -> bool:

@@ -213,7 +213,8 @@ def _card(value: Value) -> Card:
         f"{down_to(value.found, value.sigma)} {unit}",
         (
             f"95 % interval {low} … {high} {unit}",
-            f"simulation {figure(value.delivered, 5)}: {percent(value.change)} %",
+            f"simulation {figure(value.delivered, 5)}"
+            + (f": {percent(value.change)} %" if math.isfinite(value.change) else ""),
         ),
     )
 

@@ -195,7 +195,8 @@ def _upper(text: str) -> str:
 def _values_differ(arm: Arm, changed: Sequence[Value]) -> str:
     gone = [spoken(arm, v.name) for v in changed if v.absent]
     others = _first_of(
-        f"{v.name} {sized(v.found, v.sigma, v.unit)} (simulation {v.delivered:.5g}: {100 * v.change:+.3g} %)"
+        f"{v.name} {sized(v.found, v.sigma, v.unit)} (simulation {v.delivered:.5g}"
+        + (f": {100 * v.change:+.3g} %)" if math.isfinite(v.change) else ")")
         for v in sorted(changed, key=lambda v: -abs(v.found - v.delivered) / max(v.sigma, 1e-300))
         if not v.absent
     )

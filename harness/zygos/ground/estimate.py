@@ -203,7 +203,7 @@ class GroundEstimate:
                 f"not physical: {negative}",
                 "check the arm file with `zygos check-arm`, or estimate another law with --friction",
             )
-        if rms(share[seen]) > limits.DOUBTFUL.value:
+        if share[worst] > limits.DOUBTFUL.value:
             return (
                 "doubtful",
                 f"{100 * share[worst]:.0f} % of the held-out torque at {joints[worst].name} are not predicted",

@@ -5,6 +5,7 @@ A model is given either by its bodies and joints, or by base parameters (docs/th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -660,7 +661,13 @@ def read_joint_model(table: Table, source: str) -> JointModel:
             low=0.0,
         ),
         _quantity(
-            table, "rotor_inertia", "Inertia of the rotor about its axis, before the gear.", "kg m^2", source, above=0.0
+            table,
+            "rotor_inertia",
+            "Inertia of the rotor about its axis, before the gear. 0: that of a rigid joint is not known apart from "
+            "the link's.",
+            "kg m^2",
+            source,
+            low=0.0,
         ),
         _quantity(
             table,
@@ -674,4 +681,10 @@ def read_joint_model(table: Table, source: str) -> JointModel:
         _quantity(table, "damping", "Damping of the joint's spring, after the gear.", "Nms/rad", source, low=0.0),
     )
     table.finish()
+    if joint.rotor_inertia.value == 0.0 and math.isfinite(joint.stiffness.value):
+        raise table.error(
+            "rotor_inertia",
+            "is 0, but the rotor of a flexible joint moves by itself",
+            "give its inertia, or stiffness = inf for a rigid joint",
+        )
     return joint
