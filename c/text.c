@@ -77,6 +77,8 @@ const char *zygos_text(int code)
                "sealed";
     case ZYGOS_E_REDUCTION:
         return "the reduction to independent columns does not fit the arm or this build";
+    case ZYGOS_E_ARITHMETIC:
+        return "the library was compiled with flags that break IEEE arithmetic";
     }
     return UNKNOWN;
 }

@@ -322,10 +322,37 @@ static void make_tables(zygos_t *self)
     self->places = places_of(self);
 }
 
+static bool equal(double a, double b)
+{
+    return (a <= b) && (a >= b);
+}
+
+/* Whether the compiler kept IEEE arithmetic. Operands are read as volatile, so that nothing is computed before the
+   program runs; what a flag breaks is folded or reordered all the same. */
+static bool is_ieee(void)
+{
+    static const double operands[] = { 1e308, 1e16, 1.0, 49.0 };
+    const volatile double *read = operands;
+    const double large = read[0];
+    const double infinite = large * 10.0;
+    const double nan = infinite - infinite;
+    if (equal(nan, nan) || (nan <= large) || (nan >= large) || (infinite <= DBL_MAX)) {
+        return false;
+    }
+    const double huge = read[1];
+    const double one = read[2];
+    const double divisor = read[3];
+    return equal((huge + one) - huge, 0.0) && equal((49.0 * one) / divisor, 1.0) &&
+           equal((98.0 * one) / divisor, 2.0) && equal((147.0 * one) / divisor, 3.0);
+}
+
 int zygos_init(zygos_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
         return ZYGOS_E_NULL;
+    }
+    if (!is_ieee()) {
+        return ZYGOS_E_ARITHMETIC;
     }
     const int verdict = check_config(config);
     if (verdict < 0) {

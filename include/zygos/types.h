@@ -237,8 +237,13 @@ extern const unsigned char ZYGOS_CAPACITIES;
 static const unsigned char *const zygos_capacities_used ZYGOS_KEPT = &ZYGOS_CAPACITIES;
 #endif
 
-#ifdef __FAST_MATH__
-#error "zygos needs IEEE arithmetic; remedy: compile without -ffast-math"
+/* A reading that is not a number must be seen, and sums must be added in the order that is written. Compilers tell some
+   of the flags that break this; zygos_init() finds the others. */
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "zygos needs IEEE arithmetic; remedy: compile without -ffast-math and -ffinite-math-only"
+#endif
+#if defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
+#error "zygos needs IEEE arithmetic; remedy: compile without -funsafe-math-optimizations and what it contains"
 #endif
 
 #define ZYGOS_VERSION_MAJOR 0
@@ -290,8 +295,10 @@ enum zygos_error {
     ZYGOS_E_STATE = -24, ///< The state contains an impossible index, count or length: memory was changed. In a stored
                          ///< state, it was changed before the state was sealed.
     ZYGOS_E_SUMS = -25,  ///< The sums of the state do not match their row sums: memory was changed, as above.
-    ZYGOS_E_REDUCTION = -26 ///< The reduction is out of order or out of range, leaves a parameter without a column, is
-                            ///< no selection on a free base, or does not select Im, k and b of a flexible joint.
+    ZYGOS_E_REDUCTION = -26, ///< The reduction is out of order or out of range, leaves a parameter without a column, is
+                             ///< no selection on a free base, or does not select Im, k and b of a flexible joint.
+    ZYGOS_E_ARITHMETIC = -27 ///< The library was compiled with flags that break IEEE arithmetic, such as
+                             ///< -ffinite-math-only, -fno-honor-nans or -funsafe-math-optimizations.
 };
 
 /// How the arm can move. This decides which columns its bodies have; the numbers are those of a free base.

@@ -138,7 +138,8 @@ enum zygos_keep {
 
 /// Checks the configuration and initialises *self. The task that calls zygos_step() may call it again at any time while
 /// no frame is being received. config may be &self->config. Returns 1, or an enum zygos_error, in which case *self is
-/// unchanged. Cost: the coefficients of the smoother, and one memset of zygos_t.
+/// unchanged: ZYGOS_E_ARITHMETIC where the compiler's flags break IEEE arithmetic. Cost: the coefficients of the
+/// smoother, and one memset of zygos_t.
 int zygos_init(zygos_t *self, const zygos_config_t *config);
 
 /// Continues with a stored state that has passed zygos_snapshot_check(), or with a state in memory that has received no
