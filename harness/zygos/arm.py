@@ -36,6 +36,16 @@ Resolution = Literal["fine", "coarse"]
 Floats = NDArray[np.float64]
 
 _BASES: tuple[Base, ...] = ("free", "fixed")
+_OF_CURRENTS = {
+    "Nm": "A",
+    "Nms/rad": "As/rad",
+    "Nm/rad": "A/rad",
+    "kg m^2": "A s^2",
+    "kg m": "A s^2/m",
+    "kg": "A s^2/m^2",
+    "J": "A rad",
+}
+"""Units of quantities that are known in proportion to the torque constant of the first joint only."""
 _KINETICS: tuple[Kinetic, ...] = ("planar-symmetric", "planar", "spatial")
 _SIDES: tuple[Side, ...] = ("output", "rotor")
 _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor", "joint")
@@ -402,7 +412,12 @@ class Arm:
     @property
     def parameter_units(self) -> tuple[str, ...]:
         """Unit of each of `parameters`."""
-        return tuple(one.unit for one in self.parameters)
+        return tuple(self.unit(one.unit) for one in self.parameters)
+
+    def unit(self, unit: str) -> str:
+        """What a unit becomes where the torques are motor currents: a torque of the first joint is counted in amperes,
+        and what follows from it, such as an inertia, in what amperes give."""
+        return _OF_CURRENTS.get(unit, unit) if self.torque_unit == "A" else unit
 
     @cached_property
     def feels_gravity(self) -> tuple[bool, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -85,3 +86,16 @@ def test_predictions_of_two_runs(tmp_path: Path) -> None:
     assert 'id="run-2"' in text
     assert 'id="parameters"' not in text
     assert len(_data(text)["charts"]) == 4 * found.arm.n
+
+
+def test_currents_have_no_kilograms_and_newton_metres(tmp_path: Path) -> None:
+    arm, model = short_arm(2)
+    amperes = replace(arm, torque_unit="A")
+    runs = [replace(recorded(arm, model, path=k, seed=k, seconds=8.0), arm=amperes) for k in range(2)]
+    found = estimate_ground(runs[:1], validate=runs[1:])
+    write_page(tmp_path / "page.html", estimate_answer(found, draw=True), NOWHERE)
+    text = (tmp_path / "page.html").read_text()
+    for unit in ("N m", "kg", "Nm"):
+        assert not re.search(rf"(?<![\w]){unit}(?![\w])", text.replace("_nm", "")), unit
+    assert {unit for unit in found.units if "N" in unit or "kg" in unit} == set()
+    assert found.validated[0].as_dict()["unit"] == "A"

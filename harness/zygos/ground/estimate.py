@@ -85,7 +85,7 @@ class GroundEstimate:
     @property
     def units(self) -> tuple[str, ...]:
         """(p,)"""
-        return (*self.arm.parameter_units, *(effect.kind.unit for effect in self.effects))
+        return (*self.arm.parameter_units, *(self.arm.unit(effect.kind.unit) for effect in self.effects))
 
     @property
     def determined(self) -> NDArray[np.bool_]:

@@ -140,7 +140,7 @@ class Payload:
             "parameters": [
                 {
                     "name": one.name,
-                    "unit": one.unit,
+                    "unit": self.arm.unit(one.unit),
                     "value": float(value),
                     "sigma": float(sigma),
                     "half95": float(half),

@@ -101,6 +101,7 @@ class Score:
             **(heading or {}),
             "run": str(self.run.path) if self.run.path else None,
             "arm": self.run.arm.name,
+            "unit": self.run.arm.unit("Nm"),
             "model": self.model,
             "cutoff_hz": self.cutoff_hz,
             "increment_s": self.increment_s,
@@ -111,7 +112,8 @@ class Score:
 
     def __repr__(self) -> str:
         """A line for each joint."""
-        lines = [f"{one.joint:<16}{one.error_nm:>12.4g} Nm {100 * one.share:>7.2f} %" for one in self.joints]
+        unit = self.run.arm.unit("Nm")
+        lines = [f"{one.joint:<16}{one.error_nm:>12.4g} {unit} {100 * one.share:>7.2f} %" for one in self.joints]
         return "\n".join(lines)
 
 

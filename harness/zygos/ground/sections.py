@@ -134,12 +134,13 @@ def payload_answer(found: Payload, *, written: str = "") -> Answer:
             )
         )
     mass, half = float(found.value[0]), float(found.half95[0])
+    unit = found.arm.unit(found.parameters[0].unit)
     return Answer(
         about="what the last body took on",
         arm=found.arm.name,
         verdict="payload" if found.found else "no payload",
         tone="good" if found.found else "open",
-        sentence=f"{found.names[0]} changed by {down_to(mass, half)} ± {down_to(half, half)} {found.parameters[0].unit}"
+        sentence=f"{found.names[0]} changed by {down_to(mass, half)} ± {down_to(half, half)} {unit}"
         if found.found
         else "nothing differs from the model beyond its interval",
         lead=tuple(lead),
@@ -150,7 +151,7 @@ def payload_answer(found: Payload, *, written: str = "") -> Answer:
                 table(
                     "name::name | estimate::main | ± 95 % | unit::unit | stands for::wrap",
                     [
-                        (one.name, number(value), number(half, 2), unit_of(one.unit), group)
+                        (one.name, number(value), number(half, 2), unit_of(found.arm.unit(one.unit)), group)
                         for one, value, half, group in zip(
                             found.parameters, found.value.tolist(), found.half95.tolist(), found.groups, strict=True
                         )
@@ -323,11 +324,12 @@ def _across(found: GroundEstimate) -> Section | None:
 def _score_table(score: Score) -> Table | None:
     flexible = any(np.isfinite(one.spring_nm) for one in score.joints)
     rests = any(one.rest_share > 0.0 for one in score.joints)
+    torque, work = (unit_of(score.run.arm.unit(unit)) for unit in ("Nm", "J"))
     columns = (
-        "joint | torque, rms, N m | error, rms, N m | floor, N m | in %::main | σ"
-        + (" | at rest, N m" if rests else "")
-        + " | offset, N m | error with the offset, % | work of the error in 1 s, J | in %"
-        + (" | spring, N m" if flexible else "")
+        f"joint | torque, rms, {torque} | error, rms, {torque} | floor, {torque} | in %::main | σ"
+        + (f" | at rest, {torque}" if rests else "")
+        + f" | offset, {torque} | error with the offset, % | work of the error in 1 s, {work} | in %"
+        + (f" | spring, {torque}" if flexible else "")
     )
 
     def cells(one: JointScore) -> tuple[str, ...]:
@@ -365,7 +367,7 @@ def _charts(score: Score, k: int, times: dict[str, Any]) -> list[Entry]:
                 {
                     "id": f"{key}-{k}-{j}",
                     "title": f"{joint.joint}, {title}",
-                    "unit": "N m",
+                    "unit": unit_of(score.run.arm.unit("Nm")),
                     "time": f"run{k}",
                     "domain": f"run{k}",
                     "axis": "s",
