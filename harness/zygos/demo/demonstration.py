@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 from zygos import reference
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
+from zygos.can.run import Run
 from zygos.demo.page import Convergence, write_report
 from zygos.errors import ZygosError
+from zygos.estimation.estimate import estimate
 from zygos.estimation.words import losses
 from zygos.files.output import check_outputs, note, number, ratio, say, table, write_json
 from zygos.model.model import load_model
@@ -157,9 +159,8 @@ def learn(folder: Path) -> Learned:
     frames = bus.transferred(bus.read_log(sent).frames, arm.period_s, interface, channel)
     bus.write_log(run, frames, arm.period_s)
 
-    flight = Flight(arm)
-    trace = flight.frames(frames, trace=True)
-    assert trace is not None
+    found = estimate(Run(arm, frames, path=run), trace=True)
+    flight, result = found.watch.flight, found.result
     if any(flight.faults.values()):
         seen = ", ".join(f"{fault} {count}" for fault, count in flight.faults.items() if count)
         raise ZygosError(
@@ -169,15 +170,13 @@ def learn(folder: Path) -> Learned:
 
     note("estimating …")
     run_zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
-    estimate = flight.estimate()
     numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
     convergence = converge(arm, frames)
 
     # Scoring starts here: the estimate has been written, and nothing below changes it.
-    written = load_model(estimate_file).base_values(arm)
     scenario = load_scenario(EXAMPLE / "scenario.toml")
     true = load_model(scenario.plant).base_values(arm)
-    percent = score(written, true).error_percent
+    percent = score(result.value, true).error_percent
     parameters: list[dict[str, Any]] = [
         {
             "name": n,
@@ -189,17 +188,24 @@ def learn(folder: Path) -> Learned:
             "error_percent": float(e),
         }
         for n, u, t, x, c, h, e in zip(
-            arm.parameter_names, arm.parameter_units, true, numpy_value, written, estimate.half95, percent, strict=True
+            arm.parameter_names,
+            arm.parameter_units,
+            true,
+            numpy_value,
+            result.value,
+            result.half95,
+            percent,
+            strict=True,
         )
     ]
     content: dict[str, Any] = {
         "bus": f"{interface} {channel}",
-        "validity": estimate.validity,
+        "validity": result.validity,
         "cycles": flight.counts["cycles"],
         "faults": flight.faults,
         "parameters": parameters,
     }
-    return Learned(arm, trace, estimate, numpy_value, true, convergence, losses(flight), content)
+    return Learned(arm, found.watch.trace(), result, numpy_value, true, convergence, losses(flight), content)
 
 
 def run_demo(folder: Path = Path("out/demo")) -> None:
