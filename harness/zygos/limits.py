@@ -35,6 +35,8 @@ NOT_WORSE = Limit("not worse", 1.1, "1", "trial",
     "Error of a model's predictions over that of the best baseline, up to which it is no worse.")
 LEAST_INERTIA = Limit("least inertia", 1e-300, "kg m^2, Nm/rad", "derived",
     "Smallest inertia and stiffness: equations of motion are divided by them.")
+LEAST_GAIN = Limit("least gain", -0.9, "1", "convention",
+    "Smallest gain of a sensor: at -1 what it reads is multiplied by zero, and nothing is left to explain.")
 CLOSED = Limit("closed", 3.0, "1", "trial",
     "Error of the predictions of an untouched run over that of noise up to which the run closes.")
 PLAIN_LEAVES = Limit("plain leaves", 0.5, "1", "trial",

@@ -13,6 +13,7 @@ from zygos.can.run import find_arm
 from zygos.cli.options import ArmFile, Details, Json, Report, Runs
 from zygos.cli.shared import Wanted, deliver, not_whole, read_runs
 from zygos.files.output import check_outputs
+from zygos.files.progress import progress
 from zygos.gap.predict import predict
 from zygos.gap.prediction import answer_of
 from zygos.model.model import load_model
@@ -56,7 +57,12 @@ def command(
     check_outputs([json, report], [*run, chosen, model])
     hardware, assumed = load_arm(chosen), load_model(model)
     recorded = read_runs(run, arm, chosen, hardware, own_noise=True)
-    predictions = [predict(assumed, one, cutoff=cutoff) for one in recorded]
+    predictions = []
+    with progress() as bar:
+        task = bar.add_task("predicting", total=len(recorded))
+        for one in recorded:
+            predictions.append(predict(assumed, one, cutoff=cutoff))
+            bar.advance(task)
     files = [*(("run", path) for path in run), ("arm", chosen), ("model", model)]
     deliver(
         Wanted(json, report, details),

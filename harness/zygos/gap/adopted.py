@@ -115,7 +115,7 @@ def bounds(arm: Arm, effect: Effect, values: dict[str, float]) -> tuple[float, f
     if kind.unit == "s":
         return -arm.period_s, arm.period_s
     if kind.unit == "1" and kind.place in ("torque", "sensor"):
-        return max(low, -1.0), 1.0
+        return max(low, limits.LEAST_GAIN.value), 1.0
     if kind.key == "backlash":
         # where the gap is free, the spring pushes nothing; with more it would pull
         return low, values.get(f"k{effect.index(arm) + 1}", math.inf)
