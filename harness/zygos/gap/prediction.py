@@ -43,7 +43,7 @@ def answer_of(predictions: Sequence[Prediction], *, draw: bool = False) -> Answe
         arm=scores[0].run.arm.name,
         verdict="prediction",
         tone="differ",
-        sentence=f"{scores[0].model} leaves {share} % of the torques"
+        sentence=f"the model {scores[0].model} leaves {share} % of the torques"
         if shares
         else f"no torque is large enough to say something of {scores[0].model}",
         lead=tuple(lead),

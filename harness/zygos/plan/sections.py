@@ -65,7 +65,7 @@ def answer_of(expected: Sequence[Expectation], planner: Planner, *, written: str
         arm=arm.name,
         verdict="plan",
         tone="good",
-        sentence=f"{best.name} tells most: the worst known parameter is {worst}, with "
+        sentence=f"the motion {best.name} tells most: the worst known parameter is {worst}, with "
         f"{number(float(best.percent[best.worst]), 3)} %",
         lead=tuple(lead),
         reading=(*(_OF_BOUND if bound else _OF_ROWS), _CHARTS),
