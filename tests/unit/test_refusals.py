@@ -178,6 +178,30 @@ def test_a_log_of_another_machine_has_no_frames_of_the_arm(tmp_path: Path, capsy
         read_measured_run(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["predict", "--model", "published.toml", "{run}"],
+        ["estimate", "{run}", "-o", "{new}"],
+        ["estimate", "{run}", "00.blf", "-o", "{new}"],
+        ["explain", "--simulation", "published.toml", "--measured", "{run}", "00.blf", "-o", "{new}"],
+    ],
+    ids=["predict", "one", "two", "explain"],
+)
+def test_a_log_of_drives_with_messages_of_their_own_is_converted_first(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pendulum = ROOT / "examples" / "pendulum"
+    places = {"{run}": pendulum / "03.blf", "{new}": tmp_path / "new.toml"}
+    names = {one: pendulum / one for one in ("published.toml", "00.blf")} | places
+    with pytest.raises(SystemExit) as end:
+        main([str(names.get(one, one)) for one in command] + ["--arm", str(pendulum / "arm.toml")])
+    assert end.value.code == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "not one whole cycle of arm pendulum is in it" in said and "`zygos convert`" in said
+    assert "same recording" not in said and not list(tmp_path.iterdir())
+
+
 # ------------------------------------------------------------------------------------------ timing
 
 

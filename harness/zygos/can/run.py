@@ -24,6 +24,11 @@ from zygos.runs.tables import read_cycles, write_cycles
 
 Array = NDArray[np.float64]
 
+COMPARE_BUS = (
+    "compare the node numbers and the gyro of the arm file with the bus; where the drives have messages of their own, "
+    "convert the log first (`zygos convert`)"
+)
+"""What helps where no whole cycle of the arm came."""
 _GAP_CYCLES = 3
 """Number of the first cycle of a run less that of the last cycle of the run before, where runs are joined."""
 
@@ -96,6 +101,15 @@ class Run:
         """(n, 3) gyro readings in the sensor's frame, rad/s."""
         return self.cycles.omega
 
+    def check_cycles(self) -> None:
+        """Refuse, with ZygosError, a run that has not one whole cycle of the arm."""
+        if len(self) == 0:
+            seen = ", ".join(f"{name} {count:,}" for name, count in self.faults.items() if count)
+            raise ZygosError(
+                f"{self.path or 'the run'}: not one whole cycle of arm {self.arm.name} is in it "
+                f"({seen or 'no frame of this arm came'}); remedy: {COMPARE_BUS}"
+            )
+
     def __len__(self) -> int:
         """Number of cycles."""
         return len(self.cycles)
@@ -148,7 +162,9 @@ def load_run(path: str | Path, arm: Arm | str | Path | None = None) -> Run:
 
 
 def same_recording(one: Run, other: Run) -> bool:
-    """Whether two runs have the same cycles, in whatever format."""
+    """Whether two runs have the same cycles, in whatever format; runs without a cycle are no recordings."""
+    if len(one) == 0 or len(other) == 0:
+        return False
     return np.array_equal(one.cycles.tau, other.cycles.tau) and np.array_equal(one.cycles.theta, other.cycles.theta)
 
 

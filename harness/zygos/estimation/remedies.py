@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zygos.arm import Arm
+from zygos.can.run import COMPARE_BUS
 from zygos.files.output import counted, number
 from zygos.native.flight import MIN_SIGNAL_TO_NOISE, REASONS, Estimate, Flight
 
@@ -91,7 +92,7 @@ def _bus(flight: Flight) -> str:
         if flight.counts["invalid"]:
             seen = f"{counted(flight.counts['invalid'], 'cycle')} invalid, not finite or implausibly large"
         came = f"the fault counters show {seen}" if seen else "no frame of this arm came"
-        return f"no cycle was complete and {came}: compare the node numbers and the gyro of the arm file with the bus"
+        return f"no cycle was complete and {came}: {COMPARE_BUS}"
     found = []
     if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
         found.append(f"the bus loses or damages frames, or some do not match the arm file ({seen}): repair that")

@@ -127,12 +127,7 @@ def measured_run(run: Run, path: Path) -> MeasuredRun:
     lengths = [stop - start - 1 - 4 * half for start, stop in samples.segments]
     longest = max(lengths, default=0)
     instants = _arc_length(lengths, arm.period_s)
-    if len(cycles) == 0:
-        seen = ", ".join(f"{name} {count:,}" for name, count in run.faults.items() if count)
-        raise ZygosError(
-            f"{path}: not one whole cycle of arm {arm.name} is in it ({seen or 'no frame of this arm came'}); remedy: "
-            "compare the node numbers and the gyro of the arm file with the bus"
-        )
+    run.check_cycles()
     if instants * arm.period_s < 2.0:
         raise ZygosError(
             f"{path}: no stretch of 2 s in which every cycle arrived (the longest has {max(0, longest)} cycles); "

@@ -65,8 +65,8 @@ class Motion:
         """Calibrate and smooth a run; arm: with another smoother.
 
         The bandwidth test is not applied: the smoother's cut-off is a choice there, and what an estimate owes to it is
-        measured by other cut-offs. Errors: ZygosError for a run without an unbroken piece that fills the smoother's
-        window.
+        measured by other cut-offs. Errors: ZygosError for a run without a whole cycle, or without an unbroken piece
+        that fills the smoother's window.
         """
         own = _smoothed_widely(arm or run.arm)
         if not own.grounded:
@@ -74,6 +74,7 @@ class Motion:
                 f"arm {own.name}: joint rows alone determine only an arm with a fixed base and rigid joints; remedy: "
                 "estimate it with the flight library (without --validate, --since, --friction)"
             )
+        run.check_cycles()
         samples = calibrate(own, run.cycles)
         smoothed = smooth(own, samples)
         smoothed = replace(smoothed, accepted=np.ones_like(smoothed.accepted))

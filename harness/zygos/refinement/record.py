@@ -67,13 +67,12 @@ class Record:
 
 
 def record_of(arm: Arm, runs: Sequence[Run]) -> Record:
-    """The pieces of runs. Errors: ZygosError where a run does not fit the arm."""
+    """The pieces of runs. Errors: ZygosError where a run does not fit the arm, or has no whole cycle of it."""
     pieces: list[Piece] = []
     usable = 0
     for k, run in enumerate(runs):
+        run.check_cycles()
         cycles = run.cycles
-        if not len(cycles):
-            continue
         samples = calibrate(arm, cycles)
         kept = _trusted(samples)
         usable += int(kept.sum())
