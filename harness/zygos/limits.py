@@ -403,6 +403,9 @@ RANK = Limit("rank", 1e-10, "1", "convention",
 
 GAIN_PRIOR = Limit("gain prior", 0.1, "1", "convention",
     "Standard deviation of the gain of a torque sensor against that of the first one, before any run.")
+STRANGE_GAIN = Limit("strange gain", 4.0, "1", "convention",
+    "Standard deviations of that prior beyond which a gain is doubted where something is left of the torques: what the "
+    "model lacks, for example friction, looks like a gain.")
 CURRENT_GAIN_PRIOR = Limit("current gain prior", 1.0, "1", "convention",
     "The same of a motor current, which is in proportion to the torque by an unknown torque constant.")
 GAIN_ROUNDS = Limit("gain rounds", 40, "1", "convention",

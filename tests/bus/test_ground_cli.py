@@ -172,6 +172,7 @@ def test_a_payload_and_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     ("arguments", "words"),
     [
         (("--friction", "sticky"), "there is no 'sticky'"),
+        (("--friction", "gain, gain"), "gain is named twice"),
         (("--since", "true.toml", "--doubtful"), "with --since"),
         (("--flight", "--doubtful"), "only an estimate on the ground"),
         (("--validate", "nowhere.blf"), "nowhere.blf"),

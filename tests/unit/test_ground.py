@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from ground_support import heavier, recorded, short_arm, torque_of
 from laboratory_support import laboratory_arm
+from pendulum_support import recordings
 
 from zygos.arm import Arm, load_arm
 from zygos.can.run import Run, joined
@@ -443,6 +444,19 @@ def test_gains_of_torque_sensors_do_not_multiply_what_is_not_explained_by_zero(n
     assert np.all(np.abs(found.solution.value[at] - gain[1:]) < 0.45)
     assert np.all(found.solution.share > 0.005) and np.all(found.solution.share < 0.2)
     assert found.validity == "partial" and "not noise" in found.reason
+
+
+def test_a_gain_that_no_sensor_has_is_doubted_where_the_balance_does_not_close(tmp_path: Path) -> None:
+    """Friction of a measured arm that is not asked for looks like a torque sensor that is 58 % off."""
+    measured = recordings(tmp_path)
+    arm = measured["00"].arm
+    sensed = friction(arm, [CATALOGUE["torque_gain"]])[1:]
+    found = estimate_ground([measured["00"]], effects=sensed)
+    assert found.solution.value[-1] < -0.4
+    assert found.validity == "doubtful" and "looks like a gain" in found.reason and "--friction" in found.remedy
+    kinds = [CATALOGUE[key] for key in ("motor_coulomb", "motor_viscous")]
+    found = estimate_ground([measured["00"], measured["02"]], effects=(*friction(arm, kinds), *sensed))
+    assert abs(found.solution.value[-1]) < 0.2 and found.validity == "partial"
 
 
 def test_gravity_is_not_blamed_because_it_needs_a_large_offset(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -144,9 +144,12 @@ def _payload(
 
 
 def _friction(run: RecordedRun, text: str) -> tuple[Effect, ...]:
-    """The effects that --friction names. Errors: ZygosError for an unknown name."""
+    """The effects that --friction names. Errors: ZygosError for an unknown name, and one that is given twice."""
     found: list[Effect] = []
-    for name in (part.strip() for part in text.split(",")):
+    names = [part.strip() for part in text.split(",")]
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise ZygosError(f"--friction {text}: {name} is named twice; remedy: name it once")
         if name not in FRICTIONS:
             raise ZygosError(f"--friction {text}: there is no {name!r}; remedy: name some of {', '.join(FRICTIONS)}")
         for key in FRICTIONS[name]:

@@ -209,29 +209,53 @@ class GroundEstimate:
                 f"{100 * share[worst]:.0f} % of the held-out torque at {joints[worst].name} are not predicted",
                 "check the arm file with `zygos check-arm`, or lower the cut-off of the smoother",
             )
+        loud, far = int(np.argmax(self.solution.cluster)), int(np.argmax(self.excess))
+        close = self.excess[far] <= limits.EXCESS_OF_NOISE.value and (
+            self.solution.cluster[loud] <= limits.CLUSTER.value
+        )
+        strange = "" if close else self._strange_gain()
+        if strange:
+            return (
+                "doubtful",
+                f"{strange} is more than a torque sensor is off, and something is left of the torques: what the model "
+                "lacks looks like a gain",
+                "name the friction of the joints, too (--friction), or correct the scale of that torque in the arm "
+                "file or the map",
+            )
         texts, remedies = [], []
         unsure = [name for name, good in zip(self.names, self.determined, strict=True) if not good]
         if unsure:
             listed = ", ".join(unsure[:6]) + (", …" if len(unsure) > 6 else "")
             texts.append(f"the motion does not determine {len(unsure)} of {len(self.names)} parameters ({listed})")
             remedies.append("a motion that excites them (`zygos plan`)")
-        loud, far = int(np.argmax(self.solution.cluster)), int(np.argmax(self.excess))
         if self.excess[far] > limits.EXCESS_OF_NOISE.value:
             texts.append(
                 f"what is left is not noise: {100 * share[far]:.1f} % of the torque at {joints[far].name}, "
                 f"{self.excess[far]:.1f} times the noise of its readings"
             )
-        elif self.solution.cluster[loud] > limits.CLUSTER.value:
+        elif not close:
             texts.append(
                 f"what is left is not noise: at {joints[loud].name} squared sums of residuals are "
                 f"{self.solution.cluster[loud]:.0f} times those of noise ({100 * share[loud]:.1f} % of the torque)"
             )
-        if self.excess[far] > limits.EXCESS_OF_NOISE.value or self.solution.cluster[loud] > limits.CLUSTER.value:
+        if not close:
             remedies.append(
                 "another law of friction (--friction), or the lengths of the arm file; the intervals "
                 "contain what is left, if runs are alike"
             )
         return ("partial", "; ".join(texts), "; ".join(remedies)) if texts else ("valid", "", "")
+
+    def _strange_gain(self) -> str:
+        """The gain of a torque sensor that its prior holds for out of the question; empty where there is none. A motor
+        current has no gain that one could know."""
+        if self.arm.torque_unit == "A":
+            return ""
+        most = limits.STRANGE_GAIN.value * limits.GAIN_PRIOR.value
+        p = len(self.arm.parameter_names)
+        for effect, name, value in zip(self.effects, self.names[p:], self.solution.value[p:], strict=True):
+            if effect.kind.gain and abs(value) > most:
+                return f"{name} = {value:.2g}"
+        return ""
 
     def _impossible(self) -> str:
         """A value that is negative by more than three of its deviations, but cannot be; empty where there is none."""
