@@ -36,7 +36,7 @@ Resolution = Literal["fine", "coarse"]
 Floats = NDArray[np.float64]
 
 _BASES: tuple[Base, ...] = ("free", "fixed")
-_OF_CURRENTS = {
+OF_CURRENTS = {
     "Nm": "A",
     "Nms/rad": "As/rad",
     "Nm/rad": "A/rad",
@@ -417,7 +417,7 @@ class Arm:
     def unit(self, unit: str) -> str:
         """What a unit becomes where the torques are motor currents: a torque of the first joint is counted in amperes,
         and what follows from it, such as an inertia, in what amperes give."""
-        return _OF_CURRENTS.get(unit, unit) if self.torque_unit == "A" else unit
+        return OF_CURRENTS.get(unit, unit) if self.torque_unit == "A" else unit
 
     @cached_property
     def feels_gravity(self) -> tuple[bool, ...]:

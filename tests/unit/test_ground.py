@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,7 @@ from zygos.ground.payload import check_found, payload
 from zygos.ground.rows import friction
 from zygos.ground.score import score
 from zygos.model.model import Model, load_model, save_model
+from zygos.model.nearest import nearest_bodies
 from zygos.runs.cycles import Cycles
 from zygos.simulation.run import simulate
 from zygos.simulation.scenario import load_scenario
@@ -139,7 +141,7 @@ def test_nuisances_of_real_drives_are_found(more: dict[str, float], key: str, pl
     assert without.excess.max() > 1.2 * found.excess.max()
 
 
-def test_currents_give_ratios_only_and_say_so() -> None:
+def test_currents_give_ratios_only_and_say_so(tmp_path: Path) -> None:
     arm, model, *_ = _setup(2)
     amperes = replace(arm, torque_unit="A")
     run = recorded(arm, model, path=3, seed=0, seconds=20.0, more={"gain": 0.2})
@@ -148,6 +150,17 @@ def test_currents_give_ratios_only_and_say_so() -> None:
     assert "relative" in " ".join(found.notes)
     gain = found.solution.value[found.names.index("torque_gain2")]
     assert gain == pytest.approx(0.2, rel=0.1)
+    save_model(found.to_model(), tmp_path / "model.toml")
+    assert not re.search(r'"(Nm|kg)', (tmp_path / "model.toml").read_text())
+    learned = load_model(tmp_path / "model.toml")
+    assert learned.relative and learned.base_values(amperes).tolist() == found.value[: len(arm.parameters)].tolist()
+    for refused in (
+        lambda: score(run, learned),
+        lambda: payload([run], learned),
+        lambda: nearest_bodies(arm, model, learned),
+    ):
+        with pytest.raises(ZygosError, match=r"learned from motor currents.*remedy"):
+            refused()
 
 
 def test_friction_that_comes_out_negative_by_noise_can_be_read_back(tmp_path: Path) -> None:

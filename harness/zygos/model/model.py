@@ -16,8 +16,9 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from zygos.arm import Arm
+from zygos.arm import OF_CURRENTS, Arm
 from zygos.effects import CATALOGUE, Effect
+from zygos.effects.kind import Kind
 from zygos.errors import ZygosError
 from zygos.files.output import write_text
 from zygos.files.toml import Table
@@ -92,6 +93,11 @@ class Model:
     effects: tuple[Effect, ...] = ()
     correlation: Correlation | None = None
     """Of the values that were estimated together; None: their errors are independent."""
+
+    @property
+    def relative(self) -> bool:
+        """Whether the values were learned from motor currents, and are in proportion to an unknown torque constant."""
+        return any(one.unit in OF_CURRENTS.values() for one in self.parameters.values())
 
     def base_parameters(self, arm: Arm) -> dict[str, Quantity]:
         """Base parameters by name, in the order of `arm.parameter_names`.
@@ -171,6 +177,12 @@ class Model:
         return matrix * np.outer(sigma, sigma)
 
     def _named_parameters(self, arm: Arm) -> dict[str, Quantity]:
+        if self.relative and arm.torque_unit != "A":
+            raise ZygosError(
+                f"model {self.name} was learned from motor currents with unknown torque constants, but the torques of "
+                f"arm {arm.name} are in {arm.torque_unit}; remedy: give the arm file with which it was learned, or "
+                "learn it again from torques"
+            )
         missing = [name for name in arm.parameter_names if name not in self.parameters]
         unknown = [name for name in self.parameters if name not in arm.parameter_names]
         if missing or unknown:
@@ -370,7 +382,7 @@ def read_model(top: Table) -> Model:
             )
             for key in table.names()
         }
-        effects = _effects(top, source)
+        effects = _effects(top, source, relative=Model("", parameters=parameters).relative)
         correlation = None
         if top.has("correlation"):
             correlation = read_correlation(
@@ -442,13 +454,13 @@ def save_model(model: Model, path: str | Path) -> None:
         document["body"] = bodies
         document["joint"] = joints
     if model.effects:
-        document["effect"] = _entries(model.effects)
+        document["effect"] = _entries(model.effects, model.relative)
     if model.correlation is not None:
         document["correlation"] = model.correlation.table()
     write_text(Path(path), tomlkit.dumps(document))
 
 
-def _entries(effects: Sequence[Effect]) -> tomlkit.items.AoT:
+def _entries(effects: Sequence[Effect], relative: bool) -> tomlkit.items.AoT:
     entries = tomlkit.aot()
     for effect in effects:
         entry = tomlkit.table()
@@ -459,7 +471,7 @@ def _entries(effects: Sequence[Effect]) -> tomlkit.items.AoT:
             entry["component"] = effect.component
         entry["value"] = effect.value
         entry["sigma"] = effect.sigma
-        entry["unit"] = effect.kind.unit
+        entry["unit"] = _unit_of(effect.kind, relative)
         if effect.shape is not None:
             entry["shape"] = effect.shape
             if effect.kind.shape_unit:
@@ -471,7 +483,12 @@ def _entries(effects: Sequence[Effect]) -> tomlkit.items.AoT:
     return entries
 
 
-def _effects(top: Table, source: str) -> tuple[Effect, ...]:
+def _unit_of(kind: Kind, relative: bool) -> str:
+    """The unit of an effect's value; relative: of a model that was learned from motor currents."""
+    return OF_CURRENTS.get(kind.unit, kind.unit) if relative else kind.unit
+
+
+def _effects(top: Table, source: str, *, relative: bool = False) -> tuple[Effect, ...]:
     effects: list[Effect] = []
     for table in top.tables("effect", "Effects beyond rigid bodies and linear springs (docs/gap.md).", optional=True):
         key = table.choice("kind", "The effect.", tuple(CATALOGUE))
@@ -518,8 +535,9 @@ def _effects(top: Table, source: str) -> tuple[Effect, ...]:
                 raise table.error(
                     "shape_unit", f"{unit!r} is not the unit of the shape of {key}", f'"{kind.shape_unit}"'
                 )
-        if table.has("unit") and (unit := _unit(table, "the unit of the kind")) != kind.unit:
-            raise table.error("unit", f"{unit!r} is not the unit of {key}", f'convert the value to "{kind.unit}"')
+        of_kind = _unit_of(kind, relative)
+        if table.has("unit") and (unit := _unit(table, "the unit of the kind")) != of_kind:
+            raise table.error("unit", f"{unit!r} is not the unit of {key}", f'convert the value to "{of_kind}"')
         table.finish()
         place = (effect.kind, effect.joint, effect.component)
         if any((other.kind, other.joint, other.component) == place for other in effects):

@@ -60,10 +60,14 @@ def nearest_bodies(
     The unit of an entry is its sigma; where that is 0, its natural size (mass, radius of gyration, mean principal
     moment) times the largest relative sigma of the body, or the size itself if the body has no sigma. Lengths are
     exact, and so are rotor masses.
-    Errors: ZygosError if the models do not fit the arm, Undecided if no physically possible bodies near the drawing
-    have
-    parameters.
+    Errors: ZygosError if the models do not fit the arm or come from motor currents, Undecided if no physically possible
+    bodies near the drawing have the parameters.
     """
+    if given.relative:
+        raise ZygosError(
+            f"model {given.name} was learned from motor currents with unknown torque constants, so that no bodies have "
+            "its values; remedy: learn it again from torques"
+        )
     unknown = [name for name in given.parameters if name not in arm.parameter_names]
     if unknown:
         raise ZygosError(
