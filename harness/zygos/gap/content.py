@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from zygos.gap.adopted import Adopted, Check
 from zygos.gap.explanation import Explanation
@@ -15,6 +16,9 @@ from zygos.gap.verdicts import Changed, NotAdmissible, PartNamed, PlainEstimate,
 from zygos.plan.separating import Separating
 from zygos.report.provenance import Provenance
 
+if TYPE_CHECKING:
+    from zygos.gap.ground.explanation import GroundExplanation
+
 
 def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     """The gap's numbers by name: as delivered, refit, closed, floor, and, if there is one, with the best other."""
@@ -22,7 +26,7 @@ def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
 
 
-def finding_json(found: Finding, proof: str) -> dict[str, Any]:
+def _finding(found: Finding, proof: str) -> dict[str, Any]:
     """An effect that was found. proof: the evidence in words."""
     return {
         "effect": found.kind,
@@ -82,7 +86,7 @@ def source_json(source: Provenance) -> dict[str, Any]:
     }
 
 
-def remainders_json(verdict: Verdict) -> list[dict[str, Any]]:
+def _remainders(verdict: Verdict) -> list[dict[str, Any]]:
     """What the named effects leave over, largest first; empty where they are named in whole."""
     return [
         {
@@ -103,7 +107,7 @@ def decided(adopted: Adopted | None, verdict: Verdict) -> tuple[Check, ...]:
     return (*failed, *(() if adopted is None else adopted.checks))
 
 
-def checks_json(adopted: Adopted | None, verdict: Verdict) -> list[dict[str, Any]]:
+def _checks(adopted: Adopted | None, verdict: Verdict) -> list[dict[str, Any]]:
     """The same for the JSON."""
     return [
         {
@@ -119,7 +123,7 @@ def checks_json(adopted: Adopted | None, verdict: Verdict) -> list[dict[str, Any
     ]
 
 
-def limits_json(verdict: Verdict) -> list[dict[str, Any]]:
+def _limits(verdict: Verdict) -> list[dict[str, Any]]:
     """The limits that decided the answer (docs/reference/limits.md)."""
     return [{"name": one.name, "value": one.value, "unit": one.unit} for one in decided_by(verdict)]
 
@@ -151,20 +155,27 @@ def change_json(verdict: Verdict) -> dict[str, Any] | None:
     }
 
 
+def verdict_json(found: Explanation | GroundExplanation, evidence_of: Callable[[Finding], str]) -> dict[str, Any]:
+    """The answer and what it rests on. evidence_of: the evidence for a finding in words."""
+    return {
+        "answer": found.answer,
+        "sentence": found.sentence,
+        "where": found.where,
+        "findings": [_finding(f, evidence_of(f)) for f in found.findings],
+        "partly": found.partly or None,
+        "left": _remainders(found.verdict),
+        "change": change_json(found.verdict),
+        "checks": _checks(found.adopted, found.verdict),
+        "decided_by": _limits(found.verdict),
+    }
+
+
 def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
     """The content of a verdict's JSON."""
     layout = found.refit.layout
     gap = found.gap
     return {
-        "answer": found.answer,
-        "sentence": found.sentence,
-        "where": found.where,
-        "findings": [finding_json(f, evidence(f)) for f in found.findings],
-        "partly": found.partly or None,
-        "left": remainders_json(found.verdict),
-        "change": change_json(found.verdict),
-        "checks": checks_json(found.adopted, found.verdict),
-        "decided_by": limits_json(found.verdict),
+        **verdict_json(found, evidence),
         "gap": gap
         and {
             "unit": "sigma",

@@ -7,16 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from zygos.gap.content import (
-    change_json,
-    checks_json,
-    finding_json,
-    limits_json,
-    remainders_json,
-    simulation_json,
-    source_json,
-    value_json,
-)
+from zygos.gap.content import simulation_json, source_json, value_json, verdict_json
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap
 from zygos.gap.ground.predictions import Prediction, run_name
 from zygos.gap.ground.search import false_alarms, threshold
@@ -29,15 +20,7 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
     tried = len(found.search.rounds[0]) if found.search.rounds else 0
     return {
         "estimator": "explain-ground",
-        "answer": found.answer,
-        "sentence": found.sentence,
-        "where": found.where,
-        "findings": [finding_json(f, evidence(f)) for f in found.findings],
-        "partly": found.partly or None,
-        "left": remainders_json(found.verdict),
-        "change": change_json(found.verdict),
-        "checks": checks_json(found.adopted, found.verdict),
-        "decided_by": limits_json(found.verdict),
+        **verdict_json(found, evidence),
         "gap": None if found.gap is None else _gap(found.gap),
         "joints": [
             {
