@@ -122,14 +122,21 @@ def test_other_levels_of_optimisation(target: str, level: str, tmp_path: Path, a
         agree(target, f"paper, {level}", "the same", compare(host, records))
 
 
+REARRANGED = (
+    "-funsafe-math-optimizations",
+    *(f"-U__{name}__" for name in ("ASSOCIATIVE_MATH", "RECIPROCAL_MATH", "NO_SIGNED_ZEROS")),
+)
+
+
 @pytest.mark.parametrize(
     ("target", "flags"),
-    [("m7", ("-ffp-contract=fast",)), ("m4f", ("-funsafe-math-optimizations",))],
+    [("m7", ("-ffp-contract=fast",)), ("m4f", REARRANGED)],
     ids=["fused", "rearranged"],
 )
 def test_other_arithmetic_is_noticed(target: str, flags: tuple[str, ...], tmp_path: Path) -> None:
     """Multiply and add in one operation, or sums in another order: the comparison must fail, and say where.
-    One room of the library is enough."""
+    One room of the library is enough. The header refuses the second kind by the compiler's macros: they are undefined
+    here, as in a compiler that has none."""
     room = [path for path in ROOMS if path.stem == "balance"]
     with capacities(*PAPER.defines):
         arm, _, cycles = CASES["paper"].of()
