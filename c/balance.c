@@ -127,8 +127,7 @@ static double advance(zygos_balance_t *self, const zygos_config_t *config, const
     if (config->effects > 0) {
         zygos_effects_advance(&self->effects, config, state, tau, tau_next, bias->effect);
     }
-    const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : 1.0;
-    return held * step_work * config->period_s / 12.0;
+    return zygos_effects_jump(config) * step_work;
 }
 
 static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,

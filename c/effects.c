@@ -1,6 +1,6 @@
 #include "zygos/effects.h"
 
-_Static_assert((uint32_t)ZYGOS_VISCOUS_ASYMMETRY + 1u == ZYGOS_EFFECT_KINDS, "the last of the kinds");
+_Static_assert((uint32_t)ZYGOS_TORQUE_GAIN + 1u == ZYGOS_EFFECT_KINDS, "the last of the kinds");
 
 /* No switch over the kinds has a default, so that the compiler names each one that lacks a kind. */
 
@@ -17,6 +17,7 @@ static bool stored(const zygos_effect_config_t *effect)
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_TORQUE_OFFSET:
     case ZYGOS_VISCOUS_ASYMMETRY:
+    case ZYGOS_TORQUE_GAIN:
         break;
     }
     return false;
@@ -30,6 +31,7 @@ static bool signed_either_way(const zygos_effect_config_t *effect)
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
     case ZYGOS_VISCOUS_ASYMMETRY:
+    case ZYGOS_TORQUE_GAIN:
         return true;
     case ZYGOS_MOTOR_COULOMB:
     case ZYGOS_MOTOR_VISCOUS:
@@ -51,6 +53,7 @@ static bool known(const zygos_effect_config_t *effect)
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
     case ZYGOS_VISCOUS_ASYMMETRY:
+    case ZYGOS_TORQUE_GAIN:
         return true;
     }
     return false;
@@ -61,6 +64,7 @@ int zygos_effects_check(const zygos_config_t *config)
     if (config->effects > (uint32_t)ZYGOS_MAX_EFFECTS) {
         return ZYGOS_E_EFFECT;
     }
+    uint32_t gains = 0;
     for (uint32_t e = 0; e < config->effects; e++) {
         const zygos_effect_config_t *effect = &config->effect[e];
         if (!known(effect) || (effect->joint >= config->joints)) {
@@ -69,13 +73,43 @@ int zygos_effects_check(const zygos_config_t *config)
         if (stored(effect) && (config->joint[effect->joint].rigid != 0)) {
             return ZYGOS_E_EFFECT;
         }
+        gains += (effect->kind == ZYGOS_TORQUE_GAIN) ? 1u : 0u;
+        if ((effect->kind == ZYGOS_TORQUE_GAIN) && !(config->joint[effect->joint].torque_gain_sigma > 0.0)) {
+            return ZYGOS_E_EFFECT;
+        }
         for (uint32_t other = 0; other < e; other++) {
             if ((effect->kind == config->effect[other].kind) && (effect->joint == config->effect[other].joint)) {
                 return ZYGOS_E_EFFECT;
             }
         }
+        if ((gains > 0) && (effect->kind != ZYGOS_TORQUE_GAIN)) {
+            return ZYGOS_E_EFFECT;
+        }
     }
-    return 1;
+    return (gains < config->joints) ? 1 : ZYGOS_E_EFFECT;
+}
+
+uint32_t zygos_effects_gains(const zygos_config_t *config)
+{
+    uint32_t gains = 0;
+    for (uint32_t e = 0; e < config->effects; e++) {
+        gains += (config->effect[e].kind == ZYGOS_TORQUE_GAIN) ? 1u : 0u;
+    }
+    return gains;
+}
+
+double zygos_effects_reference_sigma(const zygos_config_t *config)
+{
+    double sigma = 0.0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        bool relative = false;
+        for (uint32_t e = 0; e < config->effects; e++) {
+            relative = relative || ((config->effect[e].kind == ZYGOS_TORQUE_GAIN) && (config->effect[e].joint == i));
+        }
+        const double own = config->joint[i].torque_gain_sigma;
+        sigma = (!relative && (own > sigma)) ? own : sigma;
+    }
+    return sigma;
 }
 
 bool zygos_effects_at_link(const zygos_effect_config_t *effect)
@@ -90,6 +124,7 @@ bool zygos_effects_at_link(const zygos_effect_config_t *effect)
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
     case ZYGOS_VISCOUS_ASYMMETRY:
+    case ZYGOS_TORQUE_GAIN:
         break;
     }
     return false;
@@ -107,6 +142,7 @@ bool zygos_effects_viscous(const zygos_effect_config_t *effect)
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
     case ZYGOS_VISCOUS_ASYMMETRY:
+    case ZYGOS_TORQUE_GAIN:
         break;
     }
     return false;
@@ -121,13 +157,19 @@ uint32_t zygos_effects_positive(const zygos_config_t *config)
     return bits;
 }
 
+double zygos_effects_jump(const zygos_config_t *config)
+{
+    return (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : config->period_s / 12.0;
+}
+
 double zygos_effects_saturated(double rate)
 {
     const double share = rate / ZYGOS_COULOMB_FULL_RATE;
     return 0.5 * (__builtin_fabs(share + 1.0) - __builtin_fabs(share - 1.0));
 }
 
-/* What an effect integrates, adds up or is. Only the configuration chooses. */
+/* What an effect integrates, adds up or is; of a gain the angle over which the torque works. Only the configuration
+   chooses. */
 static double newest(const zygos_effect_config_t *effect, double ratio, const zygos_arm_state_t *state,
                      double torque_step)
 {
@@ -151,6 +193,8 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
         return ratio * motor;
     case ZYGOS_VISCOUS_ASYMMETRY:
         return ratio * __builtin_fabs(motor) * motor;
+    case ZYGOS_TORQUE_GAIN:
+        return state->theta[effect->joint];
     }
     return 0.0;
 }
@@ -171,6 +215,10 @@ void zygos_effects_advance(zygos_effects_t *self, const zygos_config_t *config, 
         } else if (effect->kind == ZYGOS_TORQUE_LAG) {
             self->total[e] += *past_0;
             self->instant[e] = 0.5 * g;
+        } else if (effect->kind == ZYGOS_TORQUE_GAIN) {
+            const double ratio = config->joint[i].gear_ratio;
+            self->total[e] -= ratio * tau_before[i] * (g - *past_0);
+            self->instant[e] = -zygos_effects_jump(config) * ratio * (tau[i] - tau_before[i]) * state->theta_rate[i];
         } else {
             self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - bias[e];
         }
@@ -194,7 +242,7 @@ static double cube(const zygos_arm_state_t *state, uint32_t joint)
 }
 
 void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state,
-                                double torque_step, double *by_angle, double *by_rate)
+                                double tau_before, double tau, double *by_angle, double *by_rate)
 {
     const uint32_t i = config->effect[e].joint;
     const double ratio = config->joint[i].gear_ratio;
@@ -220,7 +268,11 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
         *by_angle = 2.0 * ratio * __builtin_fabs(state->theta_rate[i]);
         break;
     case ZYGOS_TORQUE_LAG:
-        *by_rate = 0.5 * ratio * torque_step;
+        *by_rate = 0.5 * ratio * (tau - tau_before);
+        break;
+    case ZYGOS_TORQUE_GAIN:
+        *by_angle = -ratio * tau_before;
+        *by_rate = -zygos_effects_jump(config) * ratio * (tau - tau_before);
         break;
     case ZYGOS_LINK_COULOMB:
         break;
@@ -242,6 +294,7 @@ double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_TORQUE_OFFSET:
     case ZYGOS_VISCOUS_ASYMMETRY:
+    case ZYGOS_TORQUE_GAIN:
         break;
     }
     return 0.0;

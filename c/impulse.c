@@ -41,7 +41,7 @@ static double step_integral(double h24, double g, double *past_0, double *past_1
 /* The column of an effect: *integrand is what it integrates, and the value what belongs to the instant alone. Only the
  * configuration chooses. */
 static double effect_column(uint32_t kind, double ratio, double theta, double theta_rate, double deflection,
-                            double tau_mean, double *integrand)
+                            double tau_mean, double impulse, double *integrand)
 {
     *integrand = 0.0;
     switch ((enum zygos_effect_kind)kind) {
@@ -64,6 +64,8 @@ static double effect_column(uint32_t kind, double ratio, double theta, double th
         return 0.0;
     case ZYGOS_TORQUE_LAG:
         return ratio * tau_mean;
+    case ZYGOS_TORQUE_GAIN:
+        return -impulse;
     case ZYGOS_LINK_COULOMB: /* acts on no rotor, and has no column here */
         break;
     }
@@ -76,7 +78,7 @@ int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const
 {
     const double h = config->period_s;
     const double h24 = h / 24.0;
-    const double h12 = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : h / 12.0;
+    const double h12 = zygos_effects_jump(config);
     self->instants += (self->instants < 4u) ? 1u : 0u;
     const double factor = self->origin ? 0.0 : 1.0;
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -98,7 +100,7 @@ int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const
             const uint32_t e = column_map->effect[i][c - 3u];
             double integrand;
             const double value = effect_column(config->effect[e].kind, ratio, state->theta[i], state->theta_rate[i],
-                                               deflection, 0.5 * (tau_before[i] + tau[i]), &integrand);
+                                               deflection, 0.5 * (tau_before[i] + tau[i]), out->impulse[i], &integrand);
             self->total[e] = factor * (self->total[e] + step_integral(h24, integrand, &self->before[0][e],
                                                                       &self->before[1][e], &self->before[2][e]));
             column[c] = self->total[e] + value;

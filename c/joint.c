@@ -87,6 +87,7 @@ static double effect_integrand(const zygos_config_t *config, uint32_t e, const z
         return rigid * __builtin_fabs(state->theta_rate[i]);
     case ZYGOS_MOTOR_VISCOUS:
     case ZYGOS_TORQUE_LAG:
+    case ZYGOS_TORQUE_GAIN: /* the impulse of the row */
         break;
     }
     return 0.0;
@@ -108,6 +109,7 @@ static double effect_at_end(const zygos_joint_t *self, const zygos_config_t *con
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
     case ZYGOS_VISCOUS_ASYMMETRY:
+    case ZYGOS_TORQUE_GAIN: /* the impulse of the row */
         break;
     }
     return 0.0;
@@ -171,7 +173,7 @@ static void form_row(zygos_joint_t *self, const zygos_config_t *config, const zy
                      uint32_t j, zygos_joint_row_t *out)
 {
     const double h = config->period_s / INNER;
-    const double h12 = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : config->period_s / 12.0;
+    const double h12 = zygos_effects_jump(config);
     const uint32_t body = column_map->body;
     zygos_joint_integrals_t *older = &self->half[self->oldest];
     const zygos_joint_integrals_t *newer = &self->half[after(self->oldest)];
@@ -197,17 +199,18 @@ static void form_row(zygos_joint_t *self, const zygos_config_t *config, const zy
         spring[0] = -h * (older->deflection[j] + newer->deflection[j]);
         spring[1] = begin->deflection - end.deflection;
     }
+    const double impulse = rigid ? config->joint[j].gear_ratio * config->period_s : 0.0;
+    out->impulse = impulse * (older->impulse[j] + newer->impulse[j]) + end.impulse - begin->impulse;
     for (uint32_t e = 0; e < (uint32_t)ZYGOS_EFFECT_PLACES; e++) {
         end.effect[e] = 0.0;
         if ((e < config->effects) && (config->effect[e].joint == j)) {
             end.effect[e] = effect_at_end(self, config, e);
+            const double gain = (config->effect[e].kind == ZYGOS_TORQUE_GAIN) ? out->impulse : 0.0;
             out->column[column_map->effects + e] =
-                end.effect[e] - begin->effect[e] + h * (older->effect[e] + newer->effect[e]);
+                end.effect[e] - begin->effect[e] + h * (older->effect[e] + newer->effect[e]) - gain;
             older->effect[e] = 0.0;
         }
     }
-    const double impulse = rigid ? config->joint[j].gear_ratio * config->period_s : 0.0;
-    out->impulse = impulse * (older->impulse[j] + newer->impulse[j]) + end.impulse - begin->impulse;
     out->accepted = (older->refused[j] + newer->refused[j] > 0.0) ? 0.0 : 1.0;
     out->joint = j;
     out->last = (j + 1u == config->joints) ? 1u : 0u;

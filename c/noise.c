@@ -129,7 +129,8 @@ static void put_motor(zygos_column_list_t *list, const zygos_config_t *config, c
         put(list, column_map->joint[i]);
     }
     for (uint32_t e = 0; e < config->effects; e++) {
-        if ((config->effect[e].joint == i) && (config->effect[e].kind == ZYGOS_TORQUE_LAG)) {
+        const bool steps = (config->effect[e].kind == ZYGOS_TORQUE_LAG) || (config->effect[e].kind == ZYGOS_TORQUE_GAIN);
+        if ((config->effect[e].joint == i) && steps) {
             put(list, column_map->effects + e);
         }
     }
@@ -484,12 +485,11 @@ static void motor_slopes(const zygos_config_t *config, const zygos_column_map_t 
         by_rate[place + column_map->rotor[i]] = 0.0;
         by_rate[place + column_map->rotor[i] + 1u] = 0.0;
     }
-    const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : config->period_s / 12.0;
     by_angle[column_map->count] = ratio * tau[i];
-    by_rate[column_map->count] = held * ratio * (tau_next[i] - tau[i]);
+    by_rate[column_map->count] = zygos_effects_jump(config) * ratio * (tau_next[i] - tau[i]);
     for (uint32_t e = 0; e < config->effects; e++) {
         if (config->effect[e].joint == i) {
-            zygos_effects_motor_slopes(config, e, state, tau_next[i] - tau[i], &by_angle[column_map->effects + e],
+            zygos_effects_motor_slopes(config, e, state, tau[i], tau_next[i], &by_angle[column_map->effects + e],
                                        &by_rate[column_map->effects + e]);
         }
     }

@@ -72,9 +72,16 @@ void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config
     /* An encoder is mounted to a step at best. */
     const double step = __builtin_sqrt(VARIANCE_OF_STEP);
     filter->zeros = 1u;
+    filter->gains = (zygos_effects_gains(config) > 0u) ? 1u : 0u;
+    double *zero = &settings->beside_sigma[(filter->gains != 0u) ? config->joints : 0u];
     for (uint32_t i = 0; i < config->joints; i++) {
-        settings->beside_sigma[i] = step * filter->link_sigma[i];
-        settings->beside_sigma[config->joints + i] = step * filter->motor_sigma[i];
+        zero[i] = step * filter->link_sigma[i];
+        zero[config->joints + i] = step * filter->motor_sigma[i];
+    }
+    const double reference = zygos_effects_reference_sigma(config);
+    for (uint32_t e = config->effects - zygos_effects_gains(config); e < config->effects; e++) {
+        const double own = config->joint[config->effect[e].joint].torque_gain_sigma;
+        settings->beside_sigma[config->effect[e].joint] = __builtin_sqrt(own * own + reference * reference);
     }
 }
 
@@ -95,7 +102,7 @@ int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const 
     bool good = within(settings->every, 1.0, 1000.0) && within(settings->terms, 2.0, 20.0) &&
                 within(settings->window, 20.0, 1e5) && within(settings->apart, 1.0, 1000.0) &&
                 within(settings->bias_sigma, 0.0, 1e3) && !(config->imu_latch_s > 0.0);
-    for (uint32_t k = 0; k < 4u * config->joints; k++) {
+    for (uint32_t k = 0; k < 5u * config->joints; k++) {
         good = good && within(settings->beside_sigma[k], 0.0, 1e6);
     }
     if (!good) {
@@ -161,6 +168,26 @@ static double largest_level(const zygos_refine_t *self, uint32_t n)
     return declared ? 1.0 : ZYGOS_REFINE_STEPS;
 }
 
+/* The gains begin with what the estimate says of them, where it does. */
+static void start_gains(const zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *estimate,
+                        double *x, double *sigma)
+{
+    const zygos_refiner_t *filter = &self->filter;
+    const uint32_t n = config->joints;
+    const uint32_t gains = zygos_effects_gains(config);
+    const uint32_t first = filter->fast + filter->propagation.parameters +
+                           n * (filter->settings.friction + filter->settings.offsets);
+    for (uint32_t g = 0; (filter->settings.gains != 0u) && (g < gains); g++) {
+        const uint32_t k = estimate->parameters - gains + g;
+        const uint32_t at = first + config->effect[config->effects - gains + g].joint;
+        if (is_finite(estimate->value[k]) && is_finite(estimate->sigma[k])) {
+            const double wider = WIDER * estimate->sigma[k];
+            x[at] = estimate->value[k];
+            sigma[at] = (wider < sigma[at]) ? wider : sigma[at];
+        }
+    }
+}
+
 int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *estimate,
                        const double *prior)
 {
@@ -197,6 +224,7 @@ int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const
         own[j] += ADDED * ADDED + (known ? 0.0 : ASSUMED * ASSUMED);
     }
     memcpy(&sigma[fast + p], self->settings.beside_sigma, (filter->constants - p) * sizeof sigma[0]);
+    start_gains(self, config, estimate, x, sigma);
     if (zygos_refiner_begin(filter, x, sigma) != 1) {
         return ZYGOS_E_VALUE;
     }
@@ -490,6 +518,7 @@ static void linearise(zygos_refine_t *self, const zygos_config_t *config)
     for (uint32_t i = 0; i < config->joints; i++) {
         self->mean[i] /= (double)self->settings.every;
     }
+    memcpy(self->work.torque, self->mean, config->joints * sizeof self->mean[0]);
     zygos_refiner_drive(&self->filter, self->mean, drive);
     if (!zygos_propagation_slopes(&self->filter.propagation, config, &self->work.dynamics, self->middle, drive,
                                   &self->work.propagation)) {

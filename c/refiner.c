@@ -28,7 +28,7 @@ static bool within(double x, double low, double high)
 int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, const zygos_refiner_settings_t *settings)
 {
     const uint32_t n = config->joints;
-    const uint32_t flags = settings->friction | settings->offsets | settings->zeros;
+    const uint32_t flags = settings->friction | settings->offsets | settings->gains | settings->zeros;
     const zygos_propagation_t *propagation = &self->propagation;
     memset(self, 0, sizeof *self);
     self->failed = 1u;
@@ -50,7 +50,8 @@ int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, cons
     self->settings = *settings;
     self->joints = n;
     self->fast = propagation->moving + propagation->base_rates;
-    self->constants = propagation->parameters + n * (settings->friction + settings->offsets + 2u * settings->zeros);
+    self->constants = propagation->parameters +
+                      n * (settings->friction + settings->offsets + settings->gains + 2u * settings->zeros);
     self->entries = self->fast + self->constants;
     return 1;
 }
@@ -407,25 +408,32 @@ void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, const double (*slope
     const uint32_t rows = moving + work->leads;
     const uint32_t p = self->propagation.parameters;
     const uint32_t motion = p + ((self->settings.friction != 0u) ? n : 0u);
-    const uint32_t depends = motion + ((self->settings.offsets != 0u) ? n : 0u);
-    const uint32_t last = (c < depends) ? c + 1u : depends;
+    const uint32_t gains = motion + ((self->settings.offsets != 0u) ? n : 0u);
+    const uint32_t depends = gains + ((self->settings.gains != 0u) ? n : 0u);
+    const uint32_t by_motion = (c < motion) ? c + 1u : motion;
+    const uint32_t by_torque = (c < motion) ? 0u : n;
     double *own = &self->root[column(self->fast + c)];
     const double *below = &own[self->fast];
     double scaled[ZYGOS_MAX_MOTION_CONSTANTS + ZYGOS_MAX_JOINTS];
     double moved[ZYGOS_MAX_MOVED];
-    for (uint32_t k = 0; k < last; k++) {
-        /* an offset is what a torque is reported too large by */
-        scaled[k] = below[k] * ((k < p) ? self->settings.size[k] : ((k < motion) ? 1.0 : -1.0));
+    for (uint32_t k = 0; k < by_motion; k++) {
+        scaled[k] = below[k] * ((k < p) ? self->settings.size[k] : 1.0);
+    }
+    /* An offset is what a torque is reported too large by; a gain, of it, too small. */
+    for (uint32_t i = 0; i < by_torque; i++) {
+        const bool offset = (motion + i < gains) && (motion + i <= c);
+        const bool gain = (gains + i < depends) && (gains + i <= c);
+        scaled[motion + i] =
+            (gain ? work->torque[i] * below[gains + i] : 0.0) - (offset ? below[motion + i] : 0.0);
     }
     multiply(work->across[0], ZYGOS_MAX_MOVING, rows, moving, own, false, moved);
     if (slope != NULL) {
-        multiply(&slope[0][moving], ZYGOS_MAX_SLOPES, moving, last, scaled, true, moved);
+        multiply(&slope[0][moving], ZYGOS_MAX_SLOPES, moving, by_motion + by_torque, scaled, true, moved);
     } else {
         double added[ZYGOS_MAX_ACCELERATIONS];
-        const uint32_t by_motion = (last < motion) ? last : motion;
         multiply(work->propagation.by_constant[0], ZYGOS_MAX_MOTION_CONSTANTS, accelerations, by_motion, scaled, false,
                  added);
-        multiply(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, last - by_motion, &scaled[by_motion],
+        multiply(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, by_torque, &scaled[by_motion],
                  true, added);
         multiply(work->pushed[0], ZYGOS_MAX_ACCELERATIONS, rows, accelerations, added, true, moved);
     }
@@ -447,8 +455,10 @@ void zygos_refiner_drive(const zygos_refiner_t *self, const double *tau, double 
     const uint32_t n = self->joints;
     const uint32_t friction = (self->settings.friction != 0u) ? n : 0u;
     const double *offset = &self->x[self->fast + self->propagation.parameters + friction];
+    const double *gain = &offset[(self->settings.offsets != 0u) ? n : 0u];
     for (uint32_t i = 0; i < n; i++) {
-        drive[i] = tau[i] - ((self->settings.offsets != 0u) ? offset[i] : 0.0);
+        const double share = (self->settings.gains != 0u) ? gain[i] : 0.0;
+        drive[i] = tau[i] + share * tau[i] - ((self->settings.offsets != 0u) ? offset[i] : 0.0);
     }
 }
 
@@ -466,6 +476,7 @@ bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, 
         const double own = self->settings.torque_sigma[i];
         noise[i] = __builtin_sqrt(own * own + relative * relative + lost * lost);
     }
+    memcpy(work->torque, tau, n * sizeof tau[0]);
     zygos_refiner_drive(self, tau, drive);
     zygos_refiner_constants(self, work->constant);
     zygos_dynamics_set(&work->dynamics, &self->propagation, config, work->constant);

@@ -21,6 +21,9 @@
 #define JOINT_CORRELATION 2.0
 /* Time in which the systematic part of joint rows counts once. */
 #define SYSTEMATIC_S 60.0
+/* The least share of a gain's own information that its prior is given, so that a gain which the rows do not tell apart
+   from other parameters leaves the rank full. */
+#define LEAST_PRIOR 1e-9
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
 static uint32_t at(uint32_t i, uint32_t j)
@@ -128,6 +131,54 @@ static double form(const double *packed, const double *x, uint32_t p)
     return sum;
 }
 
+/* The standard deviation of the error of the torque sensor that gain g (from 0) is of. */
+static double gain_sigma(const zygos_solver_t *work, uint32_t g)
+{
+    const zygos_config_t *config = work->config;
+    return config->joint[config->effect[config->effects - work->gains + g].joint].torque_gain_sigma;
+}
+
+/* Entry of the prior of the gains as it stands beside the sums: the inverse of diag(s_g^2) + s_r^2, times what
+   information costs in variance. */
+static double prior(const zygos_solver_t *work, uint32_t g, uint32_t h)
+{
+    const double reference = zygos_effects_reference_sigma(work->config);
+    double all = 0.0;
+    for (uint32_t k = 0; k < work->gains; k++) {
+        const double sigma = gain_sigma(work, k);
+        all += reference * reference / (sigma * sigma);
+    }
+    const double by_g = 1.0 / gain_sigma(work, g);
+    const double by_h = 1.0 / gain_sigma(work, h);
+    const double common = by_g * by_h * reference * reference / (1.0 + all);
+    return work->gain_cost[g] * work->gain_cost[h] * by_g * by_h * (((g == h) ? 1.0 : 0.0) - common);
+}
+
+/* Holds column i of the scaled equations at a value. */
+static void hold(zygos_solver_t *work, uint32_t p, uint32_t i, double value)
+{
+    for (uint32_t j = 0; j < p; j++) {
+        double *both = &work->matrix[(i >= j) ? at(i, j) : at(j, i)];
+        work->right_side[j] -= *both * value;
+        *both = (i == j) ? 1.0 : 0.0;
+    }
+    work->right_side[i] = value;
+}
+
+/* Adds the prior of the gains, which are the last columns, to the scaled equations; or holds the gains. */
+static void restrict_gains(zygos_solver_t *work, uint32_t p)
+{
+    const uint32_t first = p - work->gains;
+    for (uint32_t i = first; i < p; i++) {
+        for (uint32_t j = first; (j <= i) && (work->gains_held == 0); j++) {
+            work->matrix[at(i, j)] += prior(work, i - first, j - first) * (work->scale[i] * work->scale[j]);
+        }
+        if (work->gains_held != 0) {
+            hold(work, p, i, (work->scale[i] > 0.0) ? work->gain_value[i - first] / work->scale[i] : 0.0);
+        }
+    }
+}
+
 /* The scaled matrix and right side of all blocks, less those of one unless it is null. noise: share of the declared
    noise that is subtracted. */
 static void scaled_equations(zygos_solver_t *work, uint32_t p, const zygos_block_t *without, double noise)
@@ -147,6 +198,7 @@ static void scaled_equations(zygos_solver_t *work, uint32_t p, const zygos_block
             }
         }
     }
+    restrict_gains(work, p);
 }
 
 /* Where column c of the motor row of joint i stands; behind the last of them the right side. */
@@ -434,6 +486,63 @@ static void exchange_factors(zygos_solver_t *work, uint32_t p)
     }
 }
 
+/* The blocks of all kinds of rows, in the order in which they are left out. */
+typedef struct {
+    uint32_t energy;  ///< Number of blocks of energy rows.
+    uint32_t motors;  ///< The same with the arcs of motor rows behind them.
+    uint32_t momenta; ///< The same with those of momentum rows.
+    uint32_t all;     ///< The same with the groups of joint rows.
+    double factor;    ///< Blocks of energy rows overlap: the squares of their weights add up to less than the weights.
+} parts_t;
+
+static parts_t parts_of(const zygos_solver_t *work)
+{
+    parts_t out = { .energy = work->blocks.end - work->blocks.first };
+    double instants = 0.0;
+    double square = 0.0;
+    out.motors = out.energy + (work->arcs.end - work->arcs.first);
+    out.momenta = out.motors + (work->momenta.end - work->momenta.first);
+    out.all = out.momenta + ((work->joints_weight > 0.0) ? (uint32_t)ZYGOS_GROUP_PLACES : 0u);
+    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+        instants += zygos_accumulator_at(work->accumulator, b)->instants;
+        square += zygos_accumulator_at(work->accumulator, b)->square;
+    }
+    out.factor = (square > 0.0) ? instants / square : 1.0;
+    return out;
+}
+
+/* The scaled equations without block b. */
+static void scaled_without(zygos_solver_t *work, uint32_t p, const parts_t *parts, uint32_t b)
+{
+    if (b < parts->energy) {
+        scaled_equations(work, p, zygos_accumulator_at(work->accumulator, work->blocks.first + b), work->noise_scale);
+    } else if (b < parts->motors) {
+        scaled_without_arc(work, p, &work->motor_sums->block[work->arcs.first + b - parts->energy]);
+    } else if (b < parts->momenta) {
+        scaled_without_momentum(work, p, &work->momentum_sums->block[work->momenta.first + b - parts->motors]);
+    } else {
+        scaled_without_group(work, p, b - parts->momenta);
+    }
+}
+
+/* The own influence of block b on the solution, in linearised; its score is in right_side. Returns the factor of its
+   square. */
+static double influence(zygos_solver_t *work, uint32_t p, uint32_t rank, const parts_t *parts, uint32_t b)
+{
+    if (b < parts->energy) {
+        score(work, p, zygos_accumulator_at(work->accumulator, work->blocks.first + b), work->right_side);
+    } else if (b < parts->motors) {
+        score_of_arc(work, p, &work->motor_sums->block[work->arcs.first + b - parts->energy], work->right_side);
+    } else if (b < parts->momenta) {
+        score_of_momentum(work, p, &work->momentum_sums->block[work->momenta.first + b - parts->motors],
+                          work->right_side);
+    } else {
+        score_of_group(work, p, b - parts->momenta, work->right_side);
+    }
+    solve_once(work, p, rank, work->linearised);
+    return (b < parts->energy) ? parts->factor : 1.0;
+}
+
 /* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
    their weights. Each variance is the product of the change without a block and of the block's own influence, which is
    right on average; but a matrix of such products need not be positive semi-definite. The correlations are therefore
@@ -442,21 +551,8 @@ static void exchange_factors(zygos_solver_t *work, uint32_t p)
    lose rank leaves all sigmas infinite: the motion was informative once only. */
 static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
 {
-    const zygos_accumulator_t *energy_sums = work->accumulator;
-    const zygos_motor_block_t *arc = &work->motor_sums->block[work->arcs.first];
-    const uint32_t energy_blocks = work->blocks.end - work->blocks.first;
-    const zygos_momentum_block_t *momenta = &work->momentum_sums->block[work->momenta.first];
-    const uint32_t energy_and_motors = energy_blocks + (work->arcs.end - work->arcs.first);
-    const uint32_t arcs = energy_and_motors + (work->momenta.end - work->momenta.first);
-    const uint32_t blocks = arcs + ((work->joints_weight > 0.0) ? (uint32_t)ZYGOS_GROUP_PLACES : 0u);
-    double instants = 0.0;
-    double square = 0.0;
+    const parts_t parts = parts_of(work);
     bool once = false;
-    for (uint32_t b = 0; b < energy_blocks; b++) {
-        const zygos_block_t *block = zygos_accumulator_at(energy_sums, work->blocks.first + b);
-        instants += block->instants;
-        square += block->square;
-    }
     memset(work->information[0], 0, p * sizeof work->information[0][0]);
     memset(work->information[1], 0, p * sizeof work->information[1][0]);
     memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
@@ -464,19 +560,9 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     memset(work->linearised_variance, 0, p * sizeof work->linearised_variance[0]);
     scaled_equations(work, p, NULL, work->noise_scale);
     (void)factorise(work, p, rank);
-    for (uint32_t b = 0; (b < blocks) && !once; b++) {
-        const bool energy = (b < energy_blocks);
-        const zygos_block_t *block = energy ? zygos_accumulator_at(energy_sums, work->blocks.first + b) : NULL;
+    for (uint32_t b = 0; (b < parts.all) && !once; b++) {
         exchange_factors(work, p);
-        if (energy) {
-            scaled_equations(work, p, block, work->noise_scale);
-        } else if (b >= arcs) {
-            scaled_without_group(work, p, b - arcs);
-        } else if (b >= energy_and_motors) {
-            scaled_without_momentum(work, p, &momenta[b - energy_and_motors]);
-        } else {
-            scaled_without_arc(work, p, &arc[b - energy_blocks]);
-        }
+        scaled_without(work, p, &parts, b);
         once = (factorise(work, p, rank) < rank);
         solve_once(work, p, rank, work->without);
         inverse_diagonal(work, p, rank, work->right_side);
@@ -488,17 +574,7 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
             work->information[1][i] += share * share;
         }
         exchange_factors(work, p);
-        if (energy) {
-            score(work, p, block, work->right_side);
-        } else if (b >= arcs) {
-            score_of_group(work, p, b - arcs, work->right_side);
-        } else if (b >= energy_and_motors) {
-            score_of_momentum(work, p, &momenta[b - energy_and_motors], work->right_side);
-        } else {
-            score_of_arc(work, p, &arc[b - energy_blocks], work->right_side);
-        }
-        const double factor = energy ? instants / square : 1.0;
-        solve_once(work, p, rank, work->linearised);
+        const double factor = influence(work, p, rank, &parts, b);
         const double enlarged = factor * enlargement(work, p, work->without);
         for (uint32_t i = 0; i < p; i++) {
             work->product[i] += factor * work->without[i] * work->linearised[i];
@@ -783,6 +859,7 @@ static void shift_by_noise(zygos_solver_t *work, uint32_t p, double noise)
 static double noise_share(zygos_solver_t *work, uint32_t rank)
 {
     const double *declared = work->noise;
+    const uint32_t columns = work->column_map.parameters - (work->gains_held ? work->gains : 0u);
     double *v = work->score;
     double *u = work->right_side;
     double ratio = 0.0;
@@ -799,7 +876,8 @@ static double noise_share(zygos_solver_t *work, uint32_t rank)
             u[i] = 0.0;
             for (uint32_t j = 0; j < rank; j++) {
                 const uint32_t b = work->pivot[j];
-                u[i] += entry(declared, a, b) * work->scale[a] * work->scale[b] * v[j];
+                const double noisy = ((a < columns) && (b < columns)) ? entry(declared, a, b) : 0.0;
+                u[i] += noisy * work->scale[a] * work->scale[b] * v[j];
                 along += entry(work->matrix, a, b) * v[j];
             }
             noise += v[i] * u[i];
@@ -1009,6 +1087,110 @@ static void add_torque_noise(zygos_solver_t *work, uint32_t p, uint32_t rank, do
     }
 }
 
+/* Sets what a unit of information on gain g costs in variance, at least so much that its prior leaves the rank full. */
+static void set_gain_cost(zygos_solver_t *work, uint32_t p, uint32_t g, double cost)
+{
+    const double scale = work->scale[p - work->gains + g];
+    const double least = (scale > 0.0) ? root(LEAST_PRIOR) * gain_sigma(work, g) / scale : 0.0;
+    work->gain_cost[g] = (cost > least * least) ? root(cost) : least;
+}
+
+/* Gives the gains, which were held, their prior. It stands beside the sums as information does that is worth as much:
+   what a unit costs in variance is seen from the scatter of the blocks, with gains of which next to nothing is assumed.
+   covariance: scratch memory. */
+static void release_gains(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
+{
+    const uint32_t first = p - work->gains;
+    double explained = 0.0;
+    const double left = energy_left(work, p, work->solution, &explained) / work->instants;
+    work->gains_held = 0;
+    for (uint32_t g = 0; g < work->gains; g++) {
+        set_gain_cost(work, p, g, left * gain_sigma(work, g) * gain_sigma(work, g));
+    }
+    const uint32_t free = solve_with(work, p, rank, work->noise_scale, work->solution);
+    inverse_diagonal(work, p, free, work->inverse);
+    memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    const parts_t parts = parts_of(work);
+    for (uint32_t b = 0; b < parts.all; b++) {
+        const double factor = influence(work, p, free, &parts, b);
+        for (uint32_t g = first; g < p; g++) {
+            covariance[at(g, g)] += factor * work->linearised[g] * work->linearised[g];
+        }
+    }
+    if (work->joints_alone == 0) {
+        add_torque_noise(work, p, free, covariance);
+    }
+    for (uint32_t g = 0; g < work->gains; g++) {
+        const double scale = work->scale[first + g];
+        const double information = work->inverse[first + g] * scale * scale;
+        set_gain_cost(work, p, g, (information > 0.0) ? covariance[at(first + g, first + g)] / information : 0.0);
+    }
+}
+
+/* Adds what the errors of the sensors' gains make of the solution: u = A^-1 prior e of each gain, and their sum of the
+   sensor that the gains are relative to. Of each gain the estimate without a prior is so judged as well: it has the
+   error of the gain itself, less what the prior takes off, and that of the rows. */
+static void add_prior(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
+{
+    const uint32_t first = p - work->gains;
+    const double limit = ZYGOS_GAIN_SIGMAS * ZYGOS_GAIN_SIGMAS;
+    double *u = work->without;
+    double *common = work->linearised;
+    double scatter[ZYGOS_MAX_JOINTS];
+    double expected[ZYGOS_MAX_JOINTS] = { 0.0 };
+    memset(common, 0, p * sizeof common[0]);
+    memset(work->prior_variance, 0, p * sizeof work->prior_variance[0]);
+    for (uint32_t g = 0; g < work->gains; g++) {
+        scatter[g] = covariance[at(first + g, first + g)];
+    }
+    for (uint32_t g = 0; g <= work->gains; g++) {
+        const bool reference = (g == work->gains);
+        const double sigma = reference ? zygos_effects_reference_sigma(work->config) : gain_sigma(work, g);
+        memset(work->right_side, 0, p * sizeof work->right_side[0]);
+        for (uint32_t h = 0; (h < work->gains) && !reference; h++) {
+            work->right_side[first + h] = prior(work, g, h) * work->scale[first + h];
+        }
+        if (reference) {
+            memcpy(u, common, p * sizeof u[0]);
+        } else {
+            solve_once(work, p, rank, u);
+        }
+        for (uint32_t i = 0; i < p; i++) {
+            common[i] += reference ? 0.0 : u[i];
+            work->prior_variance[i] += sigma * sigma * u[i] * u[i];
+            for (uint32_t j = 0; j <= i; j++) {
+                covariance[at(i, j)] += sigma * sigma * u[i] * u[j];
+            }
+        }
+        for (uint32_t h = 0; h < work->gains; h++) {
+            const double passes = (((h == g) || reference) ? 1.0 : 0.0) - u[first + h];
+            expected[h] += sigma * sigma * passes * passes;
+        }
+    }
+    work->gains_differ = 0;
+    work->gains_seen = 0;
+    for (uint32_t g = 0; g < work->gains; g++) {
+        const double square = work->solution[first + g] * work->solution[first + g];
+        const double factor = student(work->degrees_of_freedom[first + g]) / TWO_SIGMAS;
+        const double unsure = factor * factor * scatter[g];
+        work->gains_differ += (square > limit * (expected[g] + unsure)) ? 1u : 0u;
+        work->gains_seen += (square > limit * unsure) ? 1u : 0u;
+    }
+}
+
+/* The 95 % intervals: Student's factor for what is known from the scatter of blocks, that of a normal distribution for
+   the prior. */
+static void write_intervals(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    for (uint32_t i = 0; i < p; i++) {
+        const double certain = work->prior_variance[i];
+        const double scatter = out->sigma[i] * out->sigma[i] - certain;
+        const double factor = student(work->degrees_of_freedom[i]);
+        const double square = factor * factor * ((scatter > 0.0) ? scatter : 0.0) + TWO_SIGMAS * TWO_SIGMAS * certain;
+        out->half95[i] = (certain > 0.0) ? root(square) : factor * out->sigma[i];
+    }
+}
+
 static bool is_precise(const zygos_solver_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
 {
     return out->sigma[i] <= limit * work->size[i];
@@ -1033,10 +1215,7 @@ static void withhold_imprecise(zygos_solver_t *work, bool full, zygos_estimate_t
             if (is_precise(work, out, i, ZYGOS_SIGMA_LIMIT)) {
                 continue;
             }
-            for (uint32_t j = 0; j < p; j++) {
-                work->matrix[(i >= j) ? at(i, j) : at(j, i)] = (i == j) ? 1.0 : 0.0;
-            }
-            work->right_side[i] = 0.0;
+            hold(work, p, i, 0.0);
         }
         solve_once(work, p, factorise(work, p, p), without);
         for (uint32_t i = 0; i < p; i++) {
@@ -1066,7 +1245,7 @@ static int refuse(zygos_estimate_t *out, uint32_t p, uint32_t reason)
 
 /* Mean over the blocks of (sum of residuals)^2 / sum of squared weights, in units of the mean square residual; *share
    is the root mean square of the blocks' mean residuals, in units of the work's spread. */
-static double cluster(const zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
+static double cluster(const zygos_solver_t *work, uint32_t p, double residual, double *share)
 {
     double squares = 0.0;
     double means = 0.0;
@@ -1083,7 +1262,7 @@ static double cluster(const zygos_solver_t *work, uint32_t p, const zygos_estima
     const double blocks = (double)(work->blocks.end - work->blocks.first);
     const double spread = root(work->spread / work->instants);
     *share = root(means / blocks) / spread;
-    return squares / (blocks * out->residual * out->residual);
+    return squares / (blocks * residual * residual);
 }
 
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
@@ -1179,7 +1358,9 @@ static uint32_t groups_of(const zygos_joint_sums_t *sums)
 static uint32_t with_motors(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     const uint32_t rank = begin(work, p);
-    if ((work->arcs.first == work->arcs.end) || (rank == 0)) {
+    const bool others = (work->momenta.first != work->momenta.end) || (zygos_joint_sums_rows(work->joint_sums) > 0.0);
+    work->alone = 0.0;
+    if (((work->arcs.first == work->arcs.end) && !others) || (rank == 0)) {
         return rank;
     }
     double weight[ZYGOS_MAX_JOINTS];
@@ -1188,7 +1369,7 @@ static uint32_t with_motors(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
     choose_noise_scale(work, p, rank, out);
     (void)solve_with(work, p, rank, work->noise_scale, work->solution);
     double explained = 0.0;
-    (void)energy_left(work, p, work->solution, &explained);
+    work->alone = energy_left(work, p, work->solution, &explained);
     memcpy(work->weight, weight, sizeof weight);
     add_motors(work, explained / work->instants);
     return begin(work, p);
@@ -1305,10 +1486,177 @@ static bool closes(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out
     out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
     out->cluster = 0.0;
     if (out->residual > 0.0) {
-        out->cluster = work->joints_alone ? cluster_of_joints(work, p, out, &share) : cluster(work, p, out, &share);
+        out->cluster = work->joints_alone ? cluster_of_joints(work, p, out, &share) : cluster(work, p, out->residual, &share);
     }
     const double least = work->joints_alone ? ZYGOS_JOINT_CLUSTER_SHARE : ZYGOS_CLUSTER_SHARE;
     return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= least);
+}
+
+/* What the noise of the torques, which walks in the work of an arc, adds to the statistic of cluster(), times the mean
+   square residual: at most, for the solution takes most of it. */
+static double walk_in_clusters(const zygos_solver_t *work)
+{
+    double sum = 0.0;
+    double walked = 0.0; /* by the arc so far */
+    double weights = 0.0;
+    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+        const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
+        const bool last = (b + 1u == work->blocks.end) ||
+                          (zygos_accumulator_at(work->accumulator, b + 1u)->end != block->end);
+        walked += block->variance[0];
+        weights += (block->square > 0.0) ? block->instants * block->instants / block->square : 0.0;
+        sum += last ? weights * walked / 6.0 : 0.0; /* mean square of a walk about its own mean */
+        walked = last ? 0.0 : walked;
+        weights = last ? 0.0 : weights;
+    }
+    return sum / (double)(work->blocks.end - work->blocks.first);
+}
+
+/* Sum of the squares of a joint's motor rows that no values of their own parameters explain: what is left of the right
+   side when all columns have been eliminated. count: of columns, the gain not among them. */
+static double least_left(double *gram, uint32_t count)
+{
+    for (uint32_t k = 0; k < count; k++) {
+        const double pivot = gram[at(k, k)];
+        for (uint32_t i = k + 1u; (i <= count) && (pivot > 0.0); i++) {
+            const double factor = gram[at(i, k)] / pivot;
+            for (uint32_t j = k + 1u; j <= i; j++) {
+                gram[at(i, j)] -= factor * gram[at(j, k)];
+            }
+        }
+    }
+    return gram[at(count, count)];
+}
+
+/* Whether rows leave over more together with others than alone: excess, of what they leave alone, and as a share of the
+   squares of their right side. */
+static bool disturbed(double excess, double left, double limit, double squares)
+{
+    return (excess > limit * left) && (excess > ZYGOS_MISFIT_SHARE * ZYGOS_MISFIT_SHARE * squares);
+}
+
+/* The same of the energy rows. */
+static bool energy_disturbed(const zygos_solver_t *work, uint32_t p, double together, double alone, double allowed)
+{
+    const double fitted = 2.0 * (double)p / work->instants;
+    const double least = (ZYGOS_MISFIT_ENERGY > fitted) ? ZYGOS_MISFIT_ENERGY : fitted;
+    return (alone > 0.0) && disturbed(together - alone, alone, least * allowed, work->spread);
+}
+
+/* The same of the motor rows of joint i. allowed: factor of the limit. */
+static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allowed)
+{
+    const zygos_motor_sums_t *sums = work->motor_sums;
+    const uint32_t count = sums->column_map.count[i];
+    double gram[ZYGOS_MAX_PACKED_IMPULSE + ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
+    double x[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
+    double instants = 0.0;
+    double noise = 0.0;
+    if ((count == 0) || !(work->weight[i] > 0.0)) {
+        return false;
+    }
+    for (uint32_t b = work->arcs.first; b < work->arcs.end; b++) {
+        for (uint32_t k = 0; k < at(count + 1u, 0); k++) {
+            gram[k] += sums->block[b].joint[i].gram[k];
+        }
+        instants += sums->block[b].instants[i];
+    }
+    for (uint32_t a = 0; a < count; a++) {
+        x[a] = work->solution[place_of(work, i, a)];
+    }
+    for (uint32_t a = 0; a < count; a++) {
+        for (uint32_t b = 0; b < count; b++) {
+            noise += instants * x[a] * x[b] * entry(sums->noise[i], a, b);
+        }
+    }
+    const double together = form(gram, x, count);
+    const double squares = gram[at(count, count)];
+    /* The gain's column, the last one, is the right side with the other sign. */
+    const uint32_t gain = ((count > 3u) && (work->config->effect[sums->column_map.effect[i][count - 4u]].kind ==
+                                            (uint32_t)ZYGOS_TORQUE_GAIN))
+                              ? 1u
+                              : 0u;
+    const double reported = (gain != 0u) ? 1.0 + x[count - 1u] : 1.0;
+    for (uint32_t a = 0; (a <= count - gain) && (gain != 0u); a++) {
+        gram[at(count - gain, a)] = (a < count - gain) ? gram[at(count, a)] : gram[at(count, count)];
+    }
+    const double alone = reported * reported * least_left(gram, count - gain);
+    const double fitted = (double)count / instants;
+    const double least = (ZYGOS_MISFIT_MOTORS > fitted) ? ZYGOS_MISFIT_MOTORS : fitted;
+    return disturbed(together - alone, alone + noise, least * allowed, squares);
+}
+
+/* Whether the solution fits all rows: no kind leaves over more than alone, and residuals do not add up in a block. It
+   takes no declared noise of angles and rates. alone: squared residuals of the energy rows solved alone; 0 where there
+   are no others. */
+static bool fits(const zygos_solver_t *work, uint32_t p, double alone)
+{
+    double explained = 0.0;
+    const double left = energy_left(work, p, work->solution, &explained);
+    if ((work->joints_alone != 0) || !(left > 0.0)) {
+        return true;
+    }
+    double share = 0.0;
+    const double square = left / work->instants;
+    const double walk = walk_in_clusters(work) / square;
+    bool good = (cluster(work, p, root(square), &share) <= 1.0 + walk) || (share <= ZYGOS_MISFIT_SHARE);
+    good = good && !energy_disturbed(work, p, left, alone, 1.0 + walk);
+    for (uint32_t i = 0; i < work->config->joints; i++) {
+        good = good && !motors_disturbed(work, i, 1.0 + walk);
+    }
+    return good;
+}
+
+/* Weighs all rows while the gains are held, judges whether they fit, gives the gains their priors, and weighs the rows
+   again. Scales their sums, and returns their rank; 0: nothing is determined. */
+static uint32_t weigh(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    const uint32_t rank = combine(work, p, out);
+    if (rank == 0) {
+        return rank;
+    }
+    choose_noise_scale(work, p, rank, out);
+    (void)solve_with(work, p, rank, work->noise_scale, work->solution);
+    work->fits = fits(work, p, work->alone) ? 1u : 0u;
+    if (work->gains_held == 0) {
+        return begin(work, p);
+    }
+    release_gains(work, p, rank, out->covariance);
+    if (work->joints_alone != 0) {
+        return begin(work, p);
+    }
+    /* Weights follow from a solution, and one with held gains may have been far off. */
+    choose(work, p, work->blocks.first, work->blocks.end);
+    memset(work->weight, 0, sizeof work->weight);
+    work->momentum_weight = 0.0;
+    return combine(work, p, out);
+}
+
+/* The same where the rows tell gains from 0, for which the energy rows alone have to be solved with these gains. It ends
+   the use of the sums. */
+static bool fits_with_gains(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    double explained = 0.0;
+    if (work->joints_alone != 0) {
+        return true;
+    }
+    const double left = energy_left(work, p, work->solution, &explained);
+    const bool good = fits(work, p, 0.0);
+    const double walk = walk_in_clusters(work) * work->instants / left;
+    for (uint32_t g = 0; g < work->gains; g++) {
+        work->gain_value[g] = work->solution[p - work->gains + g];
+    }
+    work->gains_held = 1;
+    choose(work, p, work->blocks.first, work->blocks.end);
+    memset(work->weight, 0, sizeof work->weight);
+    work->momentum_weight = 0.0;
+    const double signal_to_noise = out->signal_to_noise;
+    const uint32_t rank = begin(work, p);
+    choose_noise_scale(work, p, rank, out);
+    (void)solve_with(work, p, rank, work->noise_scale, work->solution);
+    out->signal_to_noise = signal_to_noise;
+    const double alone = energy_left(work, p, work->solution, &explained);
+    return good && !energy_disturbed(work, p, left, alone, 1.0 + walk);
 }
 
 /* Solves the blocks from the given one on, with which an arc begins. */
@@ -1319,6 +1667,8 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     const uint32_t effects = work->column_map.reduced;
     double before = 0.0;
     memset(out, 0, sizeof *out);
+    work->gains_held = (work->gains > 0) ? 1u : 0u;
+    memset(work->gain_value, 0, sizeof work->gain_value);
     memcpy(out->left_out, work->guard->left_out, sizeof out->left_out);
     for (uint32_t b = 0; b < first; b++) {
         before += zygos_accumulator_at(sums, b)->instants;
@@ -1354,7 +1704,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     }
     memset(work->weight, 0, sizeof work->weight);
     work->momentum_weight = 0.0;
-    const uint32_t rank = combine(work, p, out);
+    const uint32_t rank = weigh(work, p, out);
     out->rank = rank;
     if (rank == 0) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
@@ -1397,6 +1747,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     if (!joints) {
         add_torque_noise(work, p, rank, out->covariance);
     }
+    add_prior(work, p, rank, out->covariance);
     shift_by_noise(work, p, noise);
     if (noisy) {
         /* The error by the noise that could not be subtracted. */
@@ -1417,15 +1768,14 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     if (4u * known < effects) {
         return refuse(out, p, closed ? unidentified : ZYGOS_REASON_UNCLOSED);
     }
-    for (uint32_t i = 0; i < p; i++) {
-        out->half95[i] = student(work->degrees_of_freedom[i]) * out->sigma[i];
-    }
+    write_intervals(work, p, out);
     for (uint32_t i = effects; i < p; i++) {
         if (!out->identifiable[i] || !(out->sigma[i] < infinity())) {
             withhold(out, i, p);
         }
         known += out->identifiable[i];
     }
+    const bool fit = (work->gains_seen > 0) ? fits_with_gains(work, p, out) : (work->fits != 0);
     out->validity = ZYGOS_VALID;
     const double instants = (double)(out->accepted + out->refused);
     if ((double)out->refused > MAX_REFUSED_SHARE * instants) {
@@ -1434,12 +1784,15 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     } else if (!physical(work, out)) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_NOT_PHYSICAL;
-    } else if (!closed) {
+    } else if (!closed || (!fit && !noisy)) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
     } else if (work->guard->changed != 0) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_CHANGED;
+    } else if (work->gains_differ > 0) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_GAIN;
     } else if (out->noise_ratio < ZYGOS_NOISE_ABSENT) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_DECLARED;
@@ -1503,6 +1856,12 @@ static void borrow(zygos_solver_t *work)
 {
     zygos_accumulator_t *sums = work->accumulator;
     zygos_balance_column_map(work->config, &work->column_map);
+    work->gains = zygos_effects_gains(work->config);
+    work->gains_held = (work->gains > 0) ? 1u : 0u;
+    work->gains_differ = 0;
+    work->gains_seen = 0;
+    memset(work->gain_cost, 0, sizeof work->gain_cost);
+    memset(work->gain_value, 0, sizeof work->gain_value);
     work->total = sums->buffer[0].gram;
     work->noise = sums->buffer[1].gram;
     work->matrix = sums->buffer[2].gram;
@@ -1521,7 +1880,8 @@ static void borrow(zygos_solver_t *work)
                            &work->degrees_of_freedom,
                            &work->linearised_variance,
                            &work->product,
-                           &work->linearised };
+                           &work->linearised,
+                           &work->prior_variance };
     _Static_assert(sizeof vectors / sizeof vectors[0] <= ZYGOS_ROW_BUFFERS * ZYGOS_BUFFER_ROWS,
                    "vectors without a place");
     for (uint32_t k = 0; k < sizeof vectors / sizeof vectors[0]; k++) {
@@ -1604,7 +1964,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
 /* Solves the chosen blocks by themselves. Returns false where they determine no solution. */
 static bool solve_chosen(zygos_solver_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
 {
-    *rank = combine(work, p, scratch);
+    *rank = weigh(work, p, scratch);
     if (*rank == 0) {
         return false;
     }
@@ -1656,14 +2016,15 @@ static bool solve_before(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out
     if (work->joints_alone == 0) {
         add_torque_noise(work, p, rank, out->covariance);
     }
+    add_prior(work, p, rank, out->covariance);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
     for (uint32_t i = 0; i < p; i++) {
         out->sigma[i] = root(out->covariance[at(i, i)]);
-        out->half95[i] = student(work->degrees_of_freedom[i]) * out->sigma[i];
         out->identifiable[i] = 1;
         scaled[i] = work->inverse[i] * work->scale[i] * work->scale[i];
     }
+    write_intervals(work, p, out);
     out->rank = rank;
     const bool closed = closes(work, p, out);
     out->validity = closed ? ZYGOS_VALID : ZYGOS_DOUBTFUL;

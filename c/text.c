@@ -124,6 +124,8 @@ const char *zygos_reason_text(uint32_t reason)
         return "the arm changed: its newest arcs contradict what those before them say, several in a row";
     case ZYGOS_REASON_UNEXPLAINED:
         return "the balance leaves more than a tenth of the work unexplained, and what it leaves is no noise";
+    case ZYGOS_REASON_GAIN:
+        return "the gain of a torque sensor differs from what is declared of it";
     }
     return UNKNOWN;
 }
@@ -343,6 +345,8 @@ const char *zygos_effect_text(uint32_t kind)
         return "constant offset of the torque";
     case ZYGOS_VISCOUS_ASYMMETRY:
         return "difference of viscous friction between the directions";
+    case ZYGOS_TORQUE_GAIN:
+        return "error of the torque sensor's gain";
     }
     return UNKNOWN;
 }

@@ -14,7 +14,7 @@ _Static_assert(FLT_EVAL_METHOD == 0, "zygos needs doubles that are rounded to do
 #define SIZE(member) (sizeof(((zygos_config_t *)0)->member))
 #define SIZE_OF_JOINT(member) (sizeof(((zygos_joint_config_t *)0)->member))
 _Static_assert((sizeof(zygos_joint_config_t) ==
-                4u * sizeof(uint32_t) + SIZE_OF_JOINT(frame) + SIZE_OF_JOINT(axis) + 11u * sizeof(double)) &&
+                4u * sizeof(uint32_t) + SIZE_OF_JOINT(frame) + SIZE_OF_JOINT(axis) + 12u * sizeof(double)) &&
                    (sizeof(zygos_effect_config_t) == 2u * sizeof(uint32_t)) &&
                    (sizeof(zygos_reduction_t) == 2u * sizeof(uint32_t) + sizeof(double)) &&
                    (sizeof(zygos_config_t) == 18u * sizeof(uint32_t) + 4u * sizeof(double) + SIZE(imu_to_base) +
@@ -91,7 +91,8 @@ static int check_joint(const zygos_config_t *config, uint32_t i)
     const bool link = is_sign(joint->link_sign) && within(joint->link_zero_rad, -1e3, 1e3) &&
                       within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->link_latch_s + latch, 0.0, period);
     const bool torque =
-        within(joint->torque_sigma, 0.0, LARGEST_VALUE) && within(joint->torque_relative_sigma, 0.0, 1.0);
+        within(joint->torque_sigma, 0.0, LARGEST_VALUE) && within(joint->torque_relative_sigma, 0.0, 1.0) &&
+        within(joint->torque_gain_sigma, 0.0, 1.0);
     return (motor && torque && (link || (joint->rigid != 0)) && (joint->rigid <= 1u)) ? 1 : ZYGOS_E_VALUE;
 }
 

@@ -11,6 +11,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from arm_support import exact_example
 from numpy.typing import NDArray
 from runs_support import trajectory_of
 
@@ -24,8 +25,9 @@ pytest_plugins = ["zygos.testing", "tiers", "schema_support", "recorded_support"
 ROOT = Path(__file__).resolve().parent.parent
 PAPER = ROOT / "examples" / "paper"
 """The paper's own arm and motion, of which test_paper.py and the cases paper-* of the campaign tell."""
-EXAMPLE = ROOT / "examples" / "lively"
-"""The motion of all fixtures: every parameter shows in it."""
+EXAMPLE = exact_example(ROOT / "examples" / "lively", ROOT / "build" / "examples" / "lively")
+"""The motion of all fixtures: every parameter shows in it. Its torque sensors are exact; other arms have tests of
+their own."""
 
 
 def need(found: object, what: str) -> None:

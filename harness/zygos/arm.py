@@ -58,6 +58,9 @@ TORQUE_STEP = 1e-4
 """Step of a torque in a CAN frame, Nm."""
 RATE_STEPS: dict[Resolution, float] = {"fine": 2.0**-21, "coarse": 2.0**-13}
 """Step of a rate in a CAN frame, rad/s, by the resolution of the gyro."""
+TORQUE_GAIN_SIGMA = 0.01
+"""Standard deviation of the error of a torque sensor's gain of which the arm file says nothing, as a share."""
+
 MOMENTUM_ARC_S = 10.0
 """Longest arc of the momentum rows of an arm that has them by default, s."""
 _LATCH_MAX_US = 65_535  # the CAN frame carries the latch delay as u16
@@ -138,6 +141,9 @@ class Joint:
     """Standard deviation of the reported torque, Nm, on its side of the gear."""
     torque_relative_sigma: float = 0.0
     """Standard deviation of the reported torque as a share of its size. Both deviations add in squares."""
+    torque_gain_sigma: float = 0.0
+    """Standard deviation of the error of the torque sensor's gain, as a share. 0: the gain is exact. An arm file that
+    does not state it means `TORQUE_GAIN_SIGMA`."""
     latch_us: int = 0
     """Delay of both encoders' latch after SYNC in µs, as stated in the CAN frame."""
     flexible: bool = True
@@ -326,6 +332,33 @@ class Arm:
         if self.torque_at == "joint":
             return np.ones(self.n)
         return np.array([joint.gear_ratio for joint in self.joints])
+
+    @property
+    def held_s(self) -> float:
+        """h/12 where torques are held between SYNCs, else 0 [s]: a smooth curve through samples of a held torque's
+        motion has rates that are so many times the jump of the acceleration too high (docs/theory.md)."""
+        return 0.0 if self.torque_law == "sampled" else self.period_s / 12.0
+
+    @property
+    def gain_reference(self) -> int:
+        """The joint (from 0) to whose torque sensor the gains of the others are relative: the first of the most exact
+        ones."""
+        sigmas = [joint.torque_gain_sigma for joint in self.joints]
+        return sigmas.index(min(sigmas))
+
+    @property
+    def relative_gains(self) -> tuple[int, ...]:
+        """The joints (from 0) whose torque sensors have a gain that is estimated, relative to `gain_reference`."""
+        reference = self.gain_reference
+        return tuple(i for i, joint in enumerate(self.joints) if i != reference and joint.torque_gain_sigma > 0.0)
+
+    @property
+    def relative_gain_covariance(self) -> NDArray[np.float64]:
+        """(g, g) what is known of the errors of `relative_gains` beforehand: each is the error of the reference's gain
+        less its own, up to squares."""
+        sigma = np.array([joint.torque_gain_sigma for joint in self.joints])
+        own = sigma[list(self.relative_gains)]
+        return np.asarray(np.diag(own**2) + sigma[self.gain_reference] ** 2, dtype=np.float64)
 
     @cached_property
     def structure(self) -> Structure:
@@ -745,6 +778,14 @@ def read_joint(table: Table) -> Joint:
             low=0.0,
             high=1.0,
         ),
+        torque_gain_sigma=table.number(
+            "torque_gain_sigma",
+            "Standard deviation of the error of the torque sensor's gain, as a share. Gains of joints relative to each "
+            "other are estimated with this prior, and intervals contain them (docs/theory.md). 0: the gain is exact.",
+            TORQUE_GAIN_SIGMA,
+            low=0.0,
+            high=1.0,
+        ),
         latch_us=table.integer(
             "latch_us",
             "Delay from SYNC to the instant at which both encoders are read.",
@@ -1058,6 +1099,7 @@ def save_arm(arm: Arm, path: str | Path) -> None:
         entry["torque_sigma"] = joint.torque_sigma
         if joint.torque_relative_sigma > 0.0:
             entry["torque_relative_sigma"] = joint.torque_relative_sigma
+        entry["torque_gain_sigma"] = joint.torque_gain_sigma
         entry.update({"latch_us": joint.latch_us, "flexible": joint.flexible})
         if joint.flexible:
             entry["link_encoder"] = _encoder_entry(joint.link_encoder)

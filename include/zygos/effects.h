@@ -12,6 +12,7 @@
 ///     ZYGOS_SPRING_OFFSET      d                                     energy of the spring
 ///     ZYGOS_TORQUE_OFFSET      integral of n theta'                  work that the reported torque has too much
 ///     ZYGOS_VISCOUS_ASYMMETRY  integral of n |theta'| theta'         work of the friction
+///     ZYGOS_TORQUE_GAIN        -W of the joint, with its term h/12   work that the reported torque lacks (balance.h)
 ///
 /// tau_j is the torque that acts on [t_j, t_(j+1)). The integrals are computed by the rule of the dissipation
 /// (balance.h); integrals and sums begin with the arc. The torque step at the instant itself counts by half, because it
@@ -35,14 +36,25 @@ extern "C" {
 typedef struct {
     double total[ZYGOS_EFFECT_PLACES];   ///< Integral or sum since the arc began.
     double instant[ZYGOS_EFFECT_PLACES]; ///< The part of the column that belongs to this instant alone.
-    double past[3][ZYGOS_EFFECT_PLACES]; ///< Integrand or summand at the three newest instants, newest first.
+    double past[3][ZYGOS_EFFECT_PLACES]; ///< Integrand or summand at the three newest instants, newest first; of a gain
+                                         ///< the angle.
 } zygos_effects_t;
+
+/// Returns h/12 where a torque is held between SYNCs, else 0 [s]: see balance.h.
+double zygos_effects_jump(const zygos_config_t *config);
 
 /// Returns sat(rate), computed without a branch.
 double zygos_effects_saturated(double rate);
 
 /// Checks the effects of a configuration whose joints are checked. Returns 1 or ZYGOS_E_EFFECT.
 int zygos_effects_check(const zygos_config_t *config);
+
+/// Returns the number of gains, which are the last effects. Needs a checked configuration.
+uint32_t zygos_effects_gains(const zygos_config_t *config);
+
+/// Returns the standard deviation of the gain that all others are relative to: that of the joints without one of their
+/// own. Needs a checked configuration.
+double zygos_effects_reference_sigma(const zygos_config_t *config);
 
 /// Returns whether the effect acts between a link and the body that carries it, and so on no rotor. Needs a checked
 /// effect.
@@ -66,10 +78,10 @@ void zygos_effects_advance(zygos_effects_t *self, const zygos_config_t *config, 
 void zygos_effects_scale(zygos_effects_t *self, const zygos_config_t *config, double factor);
 
 /// Return the derivatives of the column of effect e with respect to the newest smoothed angle and rate of its motor,
-/// and to the angle of its link. torque_step is the change of its torque at the instant. The derivative of an integral
-/// with respect to the newest angle is its integrand over the angle.
+/// and to the angle of its link. tau_before and tau are its torques until the instant and from it on. The derivative of
+/// an integral with respect to the newest angle is its integrand over the angle.
 void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state,
-                                double torque_step, double *by_angle, double *by_rate);
+                                double tau_before, double tau, double *by_angle, double *by_rate);
 double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state);
 
 /// Writes the columns of this instant, one for each effect.

@@ -15,6 +15,7 @@
 ///     ZYGOS_TORQUE_LAG        n (tau_(k-1) + tau_k) / 2
 ///     ZYGOS_TORQUE_OFFSET     n times the time since the arc began
 ///     ZYGOS_VISCOUS_ASYMMETRY integral of n |theta'|
+///     ZYGOS_TORQUE_GAIN       - the impulse of the row
 ///
 /// in the order of the configuration; friction of a link has no column. The integrals are computed by the rule of the
 /// dissipation (balance.h) and begin with the arc. The row does not contain the inertia of any link: it is local to its

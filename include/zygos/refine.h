@@ -78,7 +78,7 @@ typedef struct {
     uint32_t window;                 ///< Uses of readings that are judged together, 20..100000.
     uint32_t apart;                  ///< Cycles between the readings with which the state begins, 1..1000.
     double bias_sigma;               ///< Of the gyro before the first reading [rad/s], >= 0.
-    double beside_sigma[4 * ZYGOS_MAX_JOINTS]; ///< Of friction, offsets [Nm] and zeros [rad] before the first reading,
+    double beside_sigma[5 * ZYGOS_MAX_JOINTS]; ///< Of friction, offsets [Nm], gains and zeros [rad] before the first,
                                                ///< >= 0: as many as the filter estimates, in its order. Their values
                                                ///< begin at 0.
 } zygos_refine_settings_t;

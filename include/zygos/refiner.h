@@ -14,8 +14,8 @@
 ///
 /// The covariance is S S' with a triangular S, which stays positive definite. Its entries are the state of
 /// propagation.h; the bias of the gyro, one entry for each rate of the base; and constants: the parameters in units of
-/// settings.size, and, where configured, Coulomb friction of each rotor, an offset of each torque, and zeros of link
-/// and motor encoders. The torques carry noise, which is the process noise: sigma^2 + (relative sigma * torque)^2.
+/// settings.size, and, where configured, Coulomb friction of each rotor, an offset and a gain of each torque, and zeros
+/// of link and motor encoders. The torques carry noise, which is the process noise: sigma^2 + (relative sigma * torque)^2.
 ///
 /// A filter cannot tell whether its model is complete. The normalised squares of the innovations, 1 on average, grow
 /// with gross errors only: whoever publishes its values must compare them with the estimate from which it started.
@@ -33,7 +33,7 @@ extern "C" {
 /// The state, and the bias of the gyro.
 #define ZYGOS_MAX_FAST (ZYGOS_MAX_MOVING + ZYGOS_MAX_BASE_RATES)
 /// All entries of the filter.
-#define ZYGOS_MAX_REFINED (ZYGOS_MAX_FAST + ZYGOS_MAX_MOTION_CONSTANTS + 3 * ZYGOS_MAX_JOINTS)
+#define ZYGOS_MAX_REFINED (ZYGOS_MAX_FAST + ZYGOS_MAX_MOTION_CONSTANTS + 4 * ZYGOS_MAX_JOINTS)
 /// The length of S.
 #define ZYGOS_MAX_ROOT (ZYGOS_MAX_REFINED * (ZYGOS_MAX_REFINED + 1) / 2)
 
@@ -57,7 +57,9 @@ typedef struct {
     uint32_t steps;    ///< Runge-Kutta steps in a period, 1..1000.
     uint32_t friction; ///< 1: Coulomb friction of each rotor is estimated, 0: there is none.
     uint32_t offsets;  ///< 1: an offset of each torque is estimated, 0: there is none.
+    uint32_t gains;    ///< 1: the share by which each torque exceeds the reported one is estimated, 0: there is none.
     uint32_t zeros;    ///< 1: zeros of link and motor encoders are estimated, 0: those of the configuration are exact.
+    uint32_t reserved;
     double size[ZYGOS_MAX_BODY + 3 * ZYGOS_MAX_JOINTS]; ///< Of each parameter, > 0; in its unit.
     double torque_sigma[ZYGOS_MAX_JOINTS];              ///< Noise of a torque, before the gear [Nm], >= 0.
     double torque_relative_sigma[ZYGOS_MAX_JOINTS];     ///< The same as a share of its size, >= 0.
@@ -103,6 +105,7 @@ typedef struct {
     double push[ZYGOS_MAX_MOVED][ZYGOS_MAX_PUSHES]; ///< What 1 Nm of each shape of a torque does to them: the first
                                                     ///< shape of all joints, then the next.
     double constant[ZYGOS_MAX_MOTION_CONSTANTS];
+    double torque[ZYGOS_MAX_JOINTS]; ///< As reported [Nm].
     double gain[ZYGOS_MAX_READINGS + ZYGOS_MAX_REFINED];
     double seen[ZYGOS_MAX_REFINED];                     ///< What a reading sees of each column of S.
     double lead_x[ZYGOS_MAX_READINGS];                  ///< What means are expected to be, without zeros and bias.
@@ -164,7 +167,7 @@ double zygos_refiner_latch_s(const zygos_config_t *config, uint32_t k);
 void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, zygos_refiner_work_t *work);
 /// Writes parameters and friction in SI units into constant[]: the constants of zygos_dynamics_set().
 void zygos_refiner_constants(const zygos_refiner_t *self, double *constant);
-/// Writes the torques without the estimated offsets into drive[N].
+/// Writes the torques that act, by the estimated gains and offsets, into drive[N].
 void zygos_refiner_drive(const zygos_refiner_t *self, const double *tau, double *drive);
 /// Moves the column of constant c in the root, and makes that of the means, by work->across and by what the constants
 /// do: slope has the derivatives of zygos_propagate(); where it is null, constants add to the accelerations as

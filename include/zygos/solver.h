@@ -44,7 +44,8 @@ enum zygos_reason {
     ZYGOS_REASON_DECLARED = 8, ///< The declared noise is not in the data (ZYGOS_NOISE_ABSENT).
     ZYGOS_REASON_NOISE = 7,    ///< Noise is as large as the motion in some combination (ZYGOS_MIN_SIGNAL_TO_NOISE).
     ZYGOS_REASON_CHANGED = 9,  ///< Several consecutive newest arcs contradict the values (guard.h).
-    ZYGOS_REASON_UNEXPLAINED = 10 ///< The residuals are not noise, and exceed ZYGOS_UNEXPLAINED_LIMIT.
+    ZYGOS_REASON_UNEXPLAINED = 10, ///< The residuals are not noise, and exceed ZYGOS_UNEXPLAINED_LIMIT.
+    ZYGOS_REASON_GAIN = 11 ///< The gain of a torque sensor differs from what is declared of it (ZYGOS_GAIN_SIGMAS).
 };
 
 /// A parameter with a smaller scaled pivot is a linear combination of the others.
@@ -75,6 +76,15 @@ enum zygos_reason {
 /// The same share where joint rows alone are solved: a small constant torque is all that is wrong with many arms, and
 /// the errors of smoothing do not persist in these rows.
 #define ZYGOS_JOINT_CLUSTER_SHARE 1e-3
+/// Where something small is missing, a solution looks closed. Three ratios of residuals, which need no declared noise of
+/// angles and rates, show about half of what makes values wrong: the cluster statistic above 1; the squared residuals of
+/// the energy rows, solved together with the others over solved alone; the same of the motor rows of each joint. The
+/// noise of torques, which walks, is allowed for, and what parameters of their own fit of the noise of few rows. What is
+/// less than a share of the squares of the right side does not count. Such an estimate is doubtful, because the balance
+/// does not close.
+#define ZYGOS_MISFIT_ENERGY 0.01
+#define ZYGOS_MISFIT_MOTORS 0.005
+#define ZYGOS_MISFIT_SHARE 1e-3
 /// Where the balance closes only because of that share, the sigmas allow for a residual that all blocks have in common:
 /// for the part of the cluster statistic above this value, which noise does not reach.
 #define ZYGOS_CLUSTER_NOISE 1.0
@@ -98,6 +108,9 @@ enum zygos_reason {
 #define ZYGOS_CHANGE_ALARM 6.0
 /// The least number of blocks before the newest arc: the scatter of fewer blocks causes false alarms.
 #define ZYGOS_CHANGE_MIN_BLOCKS 8u
+/// The gain of a torque sensor differs from what is declared of it where the estimate of its error exceeds this number
+/// of standard deviations, by the declared errors and the scatter of the blocks together.
+#define ZYGOS_GAIN_SIGMAS 3.0
 /// A parameter that cannot be negative may be zero, and its estimate negative by up to this number of sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
@@ -163,6 +176,7 @@ typedef struct {
     double *linearised_variance;
     double *product;
     double *linearised;
+    double *prior_variance; ///< The part of each variance that the prior of the gains has.
     uint64_t cycle; ///< The newest cycle in the sums.
     zygos_column_map_t column_map;
     double weight[ZYGOS_MAX_JOINTS]; ///< Weight of each joint's motor rows, that of the energy rows being 1.
@@ -170,6 +184,15 @@ typedef struct {
     double joints_weight;            ///< Weight of the joint rows.
     uint32_t joints_alone;           ///< 1: they alone are solved.
     uint32_t joints_used;            ///< 1: they take part.
+    uint32_t gains;                  ///< Number of torque gains, which are the last parameters.
+    uint32_t gains_held;             ///< 1: they are held at 0.
+    uint32_t gains_differ;           ///< Number of gains that contradict their prior.
+    uint32_t gains_seen;             ///< Number of gains that the rows tell from 0.
+    uint32_t fits;                   ///< 1: the solution with held gains fits all rows.
+    uint32_t reserved;
+    double alone;                    ///< Squared residuals of the energy rows solved alone [J^2].
+    double gain_value[ZYGOS_MAX_JOINTS]; ///< Where they are held.
+    double gain_cost[ZYGOS_MAX_JOINTS]; ///< Root of what a unit of information on each of them costs in variance.
     double spread;                   ///< Sum of the squared work without the constants of the arcs [J^2].
     struct {
         uint32_t first;

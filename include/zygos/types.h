@@ -171,16 +171,16 @@ extern "C" {
 #define ZYGOS_MAX_ROW (ZYGOS_MAX_PARAMETERS + 2)
 #define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
 /// The length of the longest row of any kind: those of the momentum are augmented by three constants, and have columns
-/// that a reduced energy row may lack; those of a motor have at most twelve entries.
+/// that a reduced energy row may lack; those of a motor have at most thirteen entries.
 #if (ZYGOS_MOMENTUM != 0) && (ZYGOS_MAX_BODY + ZYGOS_MAX_JOINTS + 3 > ZYGOS_MAX_ROW)
 #define ZYGOS_MAX_LONG_ROW (ZYGOS_MAX_BODY + ZYGOS_MAX_JOINTS + 3)
 #else
 #define ZYGOS_MAX_LONG_ROW ZYGOS_MAX_ROW
 #endif
-#if ZYGOS_MAX_LONG_ROW > 12
+#if ZYGOS_MAX_LONG_ROW > 13
 #define ZYGOS_MAX_ANY_ROW ZYGOS_MAX_LONG_ROW
 #else
-#define ZYGOS_MAX_ANY_ROW 12
+#define ZYGOS_MAX_ANY_ROW 13
 #endif
 /// The length of a row that is augmented by the work alone, because 1 contains no noise.
 #define ZYGOS_MAX_NOISE_ROW (ZYGOS_MAX_PARAMETERS + 1)
@@ -337,11 +337,13 @@ enum zygos_effect_kind {
     ZYGOS_TORQUE_OFFSET =
         6, ///< Constant by which the reported rotor torque exceeds the true one [Nm], before the gear.
     ZYGOS_VISCOUS_ASYMMETRY =
-        7 ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
+        7, ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
+    ZYGOS_TORQUE_GAIN = 8 ///< Share by which the motor's torque exceeds the reported one, beside that of the joints
+                          ///< without this effect, of which there is at least one. Its prior: torque_gain_sigma.
 };
 
 /// Their number.
-#define ZYGOS_EFFECT_KINDS 8
+#define ZYGOS_EFFECT_KINDS 9
 
 /// One effect to identify.
 typedef struct {
@@ -369,6 +371,8 @@ typedef struct {
     double motor_latch_s;         ///< The same as link_latch_s, for the motor encoder.
     double torque_sigma;          ///< Standard deviation of the torque's noise, after the gear [Nm]; 0: not declared.
     double torque_relative_sigma; ///< The same as a share of its size, 0 .. 1. Both add in squares.
+    double torque_gain_sigma;     ///< Standard deviation of the error of the torque sensor's gain, 0 .. 1. A joint with
+                                  ///< ZYGOS_TORQUE_GAIN needs it above 0.
 } zygos_joint_config_t;
 
 /// One entry of the matrix that reduces columns to parameters (reduction.h).

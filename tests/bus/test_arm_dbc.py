@@ -250,7 +250,9 @@ def test_telemetry_names_each_parameter(
 ) -> None:
     """A value that the C library sends is found under the parameter's name, and no other."""
     arm, path = written(arm_text(SEVEN, SEVEN_NODES, gyro=gyro, kinetic=kinetic))
-    check_telemetry(path, list(zip(arm.parameter_names, arm.parameter_units, strict=True)))
+    gains = [(f"torque_gain{i + 1}", "1") for i in arm.relative_gains]
+    assert len(gains) == arm.n - 1
+    check_telemetry(path, [*zip(arm.parameter_names, arm.parameter_units, strict=True), *gains], len(gains))
 
 
 def check_telemetry(path: Path, parameters: list[tuple[str, str]], effects: int = 0) -> None:

@@ -83,10 +83,10 @@ def test_effects_that_the_library_lacks_are_refused_by_name(tmp_path: Path, caps
     assert run("compile-model", EXAMPLE / "arm.toml", "--model", model, "-o", tmp_path / "out") == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "the flight library has no column for load_friction at elbow; remedy: remove this entry" in said
-    model.write_text(text + entry("load_friction", "elbow") + entry("torque_gain", "shoulder"))
+    model.write_text(text + entry("load_friction", "elbow") + entry("load_friction", "shoulder"))
     assert run("compile-model", EXAMPLE / "arm.toml", "--model", model, "-o", tmp_path / "out") == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "load_friction at elbow, torque_gain at shoulder; remedy: remove these entries" in said
+    assert "load_friction at elbow, load_friction at shoulder; remedy: remove these entries" in said
     assert not (tmp_path / "out").exists()
     model.write_text(text + '\n[[effect]]\nkind = "angular_momentum"\nvalue = 1.0\n' + entry("motor_viscous", "elbow"))
     out = tmp_path / "answer.json"

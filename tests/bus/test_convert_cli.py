@@ -525,7 +525,7 @@ def test_refusals(
     foreign.edited(FOLDER / "arm.dbc", tmp_path / "third.dbc", ("BO_ 256 ", "BO_ 257 "))
     foreign.edited(EXAMPLE / "arm.toml", tmp_path / "slow.toml", ("period_s = 0.05", "period_s = 0.04"))
     (tmp_path / "beside").mkdir()
-    (tmp_path / "beside" / "arm.toml").write_bytes((EXAMPLE.parent / "gap" / "arm.toml").read_bytes())
+    (tmp_path / "beside" / "arm.toml").write_bytes((ROOT / "examples" / "gap" / "arm.toml").read_bytes())
     before = sorted(tmp_path.rglob("*"))
     assert run("convert", source, *(str(word).replace("{in}", str(tmp_path)) for word in arguments)) == 2
     assert message in capsys.readouterr().err.replace("\n", " ")

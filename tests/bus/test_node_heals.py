@@ -127,7 +127,8 @@ def test_corrupt_memory_is_not_saved_at_the_end(
     assert (code, counters["node_corrupt"], counters["node_unsaved"]) == (2, 1, 1)
     assert "memory was changed" in said
     assert state.read_bytes() == good
-    assert snapshot.read(state, "state").accumulator.accepted > 150
+    stored = snapshot.read(state, "state")
+    assert stored.accumulator.accepted > 150
 
 
 @pytest.mark.slow(only=["joints", "columns*"])

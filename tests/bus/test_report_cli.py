@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from cli_support import run
 
-from conftest import EXAMPLE
+from conftest import EXAMPLE, ROOT
 from zygos.arm import load_arm
 from zygos.audit import sections as audit
 from zygos.audit.findings import Audit, SignalFault
@@ -300,11 +300,11 @@ def test_the_ledger_leaves_over_what_the_estimate_says(recording: Path) -> None:
 def test_the_ledger_has_a_constant_for_each_arc() -> None:
     """Arcs of 10 s at 200 Hz: at the origin of each the slip of the springs begins at zero anew. Of the run, the first
     30 s."""
-    arm = load_arm(EXAMPLE.parent / "gap" / "arm.toml")
-    frames = bus.read_log(EXAMPLE.parent / "gap" / "demo" / "a.blf").frames
+    arm = load_arm(ROOT / "examples" / "gap" / "arm.toml")
+    frames = bus.read_log(ROOT / "examples" / "gap" / "demo" / "a.blf").frames
     watch = watched(arm, frames[: len(frames) // 2])
     trace, result = watch.trace(), watch.flight.estimate()
-    found = balance(arm, trace, result.solution)
+    found = balance(arm, trace, result.solution, watch.flight.effects)
     origins = trace.instant & (trace.row[:, list(arm.parameter_names).index("b1")] == 0.0)
     assert found.arcs == result.arcs == np.count_nonzero(origins) == 3
     left = found.residual[trace.accepted & trace.instant]

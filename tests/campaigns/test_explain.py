@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import EXAMPLE, need
+from conftest import ROOT, need
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.gap.explanation import Explanation
@@ -297,7 +297,7 @@ def test_a_friction_that_begins_within_a_run_is_a_change() -> None:
 
 
 def _with_friction(size: float) -> Model:
-    drawn = load_model(EXAMPLE.parent / "gap" / "cad.toml")
+    drawn = load_model(ROOT / "examples" / "gap" / "cad.toml")
     return replace(drawn, effects=(*drawn.effects, Effect(CATALOGUE["motor_coulomb"], "elbow", size)))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import NO_IMU, Arm, Base, Encoder, Imu, Joint, Kinetic
+from zygos.files.output import write_text
 from zygos.model.model import Body, JointModel, Model, Quantity
 
 Floats = NDArray[np.float64]
@@ -33,6 +35,23 @@ class State(NamedTuple):
     """(N,) rad/s after the gear; qd at a rigid joint."""
     tau: Floats
     """(N,) Nm before the gear."""
+
+
+def exact_torques(arm: Arm) -> Arm:
+    """The arm with torque sensors whose gains are exact, so that none is estimated."""
+    return replace(arm, joints=tuple(replace(joint, torque_gain_sigma=0.0) for joint in arm.joints))
+
+
+def exact_example(folder: Path, copy: Path) -> Path:
+    """A copy of an example whose torque sensors are declared to be exact; several processes may ask for it at once."""
+    copy.mkdir(parents=True, exist_ok=True)
+    for path in sorted(folder.glob("*.toml")):
+        text = path.read_text(encoding="utf-8")
+        if path.name == "arm.toml":
+            text = text.replace("\n[[joint]]\n", "\n[[joint]]\ntorque_gain_sigma = 0.0\n")
+        if not (copy / path.name).is_file() or (copy / path.name).read_text(encoding="utf-8") != text:
+            write_text(copy / path.name, text)
+    return copy
 
 
 def random_arm(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from arm_support import exact_torques
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -17,9 +18,13 @@ LIVELY = Path(__file__).parents[2] / "examples" / "lively"
 
 
 def example(name: str) -> tuple[Arm, Model, Scenario]:
-    """Arm, model and scenario of a folder of examples/."""
+    """Arm, model and scenario of a folder of examples/; the gains of the torque sensors are exact."""
     folder = LIVELY.parent / name
-    return load_arm(folder / "arm.toml"), load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
+    return (
+        exact_torques(load_arm(folder / "arm.toml")),
+        load_model(folder / "model.toml"),
+        load_scenario(folder / "scenario.toml"),
+    )
 
 
 def lively() -> tuple[Arm, Model, Scenario]:

@@ -64,6 +64,7 @@ def make_arm(
             f"node = {i}",
             "axis = [0, 0, 1]",
             "gear_ratio = 50",
+            *([] if "torque_gain_sigma" in joint else ["torque_gain_sigma = 0.0"]),
             f"link_encoder = {{ counts = {counts}, {encoder} }}",
             f'motor_encoder = {{ counts = {counts}, side = "output", {encoder} }}',
             joint,

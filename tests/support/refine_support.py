@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from arm_support import exact_torques
 from numpy.typing import NDArray
 from runs_support import trajectory_of
 
@@ -82,8 +83,8 @@ class Score:
 
 
 def noisy(example: str, share: float) -> Arm:
-    """The arm of an example with noise of its torques."""
-    arm = load_arm(ROOT / "examples" / example / "arm.toml")
+    """The arm of an example with noise of its torques, whose sensors have exact gains."""
+    arm = exact_torques(load_arm(ROOT / "examples" / example / "arm.toml"))
     return replace(arm, joints=tuple(replace(joint, torque_relative_sigma=share) for joint in arm.joints))
 
 

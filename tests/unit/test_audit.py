@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_support import exact_torques
 from audit_support import (
     Fault,
     both,
@@ -96,7 +97,7 @@ def test_a_clean_run_is_clean(seeds: int, name: str) -> None:
 def test_a_smoother_that_flattens_the_motion_is_named_and_the_next_one_is_right() -> None:
     """Fine encoders on a fixed base: what the polynomial takes off the motion is more than is left of the noise."""
     (case,) = chosen(all_cases(ROOT / "examples"), ["fixed"])
-    arm = replace(case.arm, smoother=Smoother(21, 4, 10))
+    arm = replace(exact_torques(case.arm), smoother=Smoother(21, 4, 10))
     precision = {"rtol": 1e-9, "atol": 1e-11}
     trajectory = trajectory_of(
         case.plant, case.model, case.scenario, seeds=[0], noise=True, duration_s=15.0, **precision

@@ -30,7 +30,7 @@ def moved(cut: Blocks, example: str, values: np.ndarray | float = 0.0, states: n
     arm = cut.record.arm
     steps = 5 if example == "paper" else 1
     own = np.asarray(plant(example).base_values(arm)) + values
-    return linearise(cut, Propagation(arm, steps, friction=True), own, np.zeros(4 * arm.n), cut.states + states)
+    return linearise(cut, Propagation(arm, steps, friction=True), own, np.zeros(5 * arm.n), cut.states + states)
 
 
 @pytest.mark.parametrize(("example", "duration_s"), [("paper", 10.0), ("spatial", 0.6)])
@@ -64,9 +64,9 @@ def test_a_solution_is_that_of_dense_least_squares() -> None:
     )  # fmt: skip
     at, arm = moved(few, "paper"), cut.record.arm
     n, x, p, relative = arm.n, at.states.shape[1], len(at.size), np.full(arm.n, 0.005)
-    unit = np.concatenate([at.size, np.ones(4 * n), np.full(1 + n, 0.01)])
+    unit = np.concatenate([at.size, np.ones(5 * n), [0.01]])
     prior = Prior(unit, np.arange(p), 100.0 * np.eye(p), np.zeros(p))
-    start = Start(np.asarray(plant("paper").base_values(arm)), np.zeros(4 * n))
+    start = Start(np.asarray(plant("paper").base_values(arm)), np.zeros(5 * n))
     found = follow(at, relative, start, prior, keep=True)
 
     # unknowns: parameters, state and bias of each block, errors of torques and steps of the bias in their deviations

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arm_support import exact_torques
 from cases_support import CASES, arm_of, record_of
 from flight_support import CHOSEN, balanced, bytes_of, chosen, energy_only, sines
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from conftest import ROOT
 from zygos import reference
 from zygos.arm import NO_IMU, Arm, load_arm
 from zygos.dynamics.equations import equations
-from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, Motion, estimated
+from zygos.effects import CATALOGUE, GAIN, SLOWEST_RATE, Effect, Motion, estimated
 from zygos.errors import ZygosError
 from zygos.model.model import load_model, save_model
 from zygos.native import flight
@@ -55,7 +56,7 @@ def silent(arm: Arm) -> Arm:
 
 def test_every_column_has_its_kind_in_the_flight_library() -> None:
     kinds = {name for name in ffi.typeof("enum zygos_effect_kind").elements.values()}
-    assert kinds == {f"ZYGOS_{key.upper()}" for key in COLUMNS}
+    assert kinds == {f"ZYGOS_{key.upper()}" for key in [*COLUMNS, GAIN]}
     lawful = {key for key, kind in CATALOGUE.items() if kind.torque is not None and kind.flies}
     assert lawful | {"torque_lag"} == set(COLUMNS)
 
@@ -237,7 +238,7 @@ def test_the_binding_names_what_is_refused() -> None:
         Flight(arm, [effect("torque_lag", "elbow"), effect("torque_lag", "elbow")])
     with pytest.raises(ZygosError, match=r"no joint 'wrist'.*remedy"):
         Flight(arm, [effect("torque_lag", "wrist")])
-    long = load_arm(ROOT / "examples" / "seven" / "arm.toml")
+    long = exact_torques(load_arm(ROOT / "examples" / "seven" / "arm.toml"))
     many = [effect(key, joint.name) for key in COLUMNS for joint in long.joints]
     with pytest.raises(ZygosError, match=rf"{len(many)} effects.*this build holds 21; remedy"):
         Flight(long, many)

@@ -553,6 +553,7 @@ def test_a_state_goes_on_with_its_running_solution(motion: Trajectory) -> None:
     assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == 1
     flight.cycles(part(faulty, SOON - 100, SOON + 400))
     estimate = flight.estimate()
-    assert (estimate.validity, estimate.left_out[0]) == ("valid", 1)
+    assert estimate.left_out[0] == 1
+    assert np.all(far(estimate, motion) < 1.0)
     lose_the_way(flight)
     assert lib.zygos_adopt(flight.native, flight._estimate) == lib.ZYGOS_E_STATE

@@ -13,7 +13,7 @@ from rows_support import awkward, effect, wandering
 from zygos.arm import Arm, Encoder
 from zygos.balances import impulse
 from zygos.reference.accumulator import Design
-from zygos.reference.combination import MotorRows, motors, solve_with_others, weight
+from zygos.reference.combination import MotorRows, combine, motors, weight
 from zygos.reference.solver import Rows
 from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, Cycles
 from zygos.runs.samples import calibrate
@@ -201,7 +201,7 @@ def test_the_estimate_is_that_of_all_rows_by_their_weights(tmp_path: Path) -> No
         assert factor > 0.1
         a += factor * (own.rows.z.T @ own.rows.z - own.rows.noise[:p, :p])
         b += factor * own.rows.z.T @ own.rows.w
-    solution = solve_with_others(arm, design, (first, second, few), None)
+    solution = combine(arm, design, (first, second, few), None).solution
     assert solution.noise_scale == 1.0
     np.testing.assert_allclose(solution.x, np.linalg.solve(a, b), rtol=1e-10)
     assert np.abs(solution.x - alone).max() > 1e-2

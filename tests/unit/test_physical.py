@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from arm_support import random_arm
+from arm_support import exact_torques, random_arm
 from numpy.typing import NDArray
 from physical_support import (
     BLOCKS,
@@ -33,7 +33,7 @@ LENGTH = 1e-3
 
 @pytest.fixture(scope="module")
 def spatial() -> tuple[Arm, Model]:
-    return load_arm(SPATIAL / "arm.toml"), load_model(SPATIAL / "model.toml")
+    return exact_torques(load_arm(SPATIAL / "arm.toml")), load_model(SPATIAL / "model.toml")
 
 
 def fitted(arm: Arm, drawing: Model, report: dict[str, Any], length: float = LENGTH) -> PhysicalFit:

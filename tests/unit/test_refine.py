@@ -173,7 +173,7 @@ def test_friction_zeros_and_a_level_below_the_declared_one_are_found() -> None:
     assert np.abs(away(answer)).max() < 4.0
     for one in answer.to_model().effects:
         assert abs(one.value - 0.3) < 4.0 * one.sigma < 0.02
-    zeros, sigma = answer.final.beside[4:6], answer.final.beside_sigma[4:6]
+    zeros, sigma = answer.final.beside[6:8], answer.final.beside_sigma[6:8]
     assert np.all(np.abs(zeros - off) < 4.0 * sigma)
     assert np.all(sigma < 1e-3)
     assert answer.level[0] == pytest.approx(0.001, rel=0.2)
@@ -189,7 +189,7 @@ def test_encoders_that_are_mounted_to_a_step_do_no_harm(noise: float) -> None:
     assert answer.published, answer.reason
     assert noise or max(answer.level) < 3e-5
     assert np.abs(away(answer)).max() < 4.0
-    at = 2 * case.arm.n
+    at = 3 * case.arm.n
     off = (answer.final.beside[at:] - zeros(case.arm, 0).ravel()) / answer.final.beside_sigma[at:]
     assert np.abs(off).max() < 4.0
 

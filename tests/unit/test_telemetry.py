@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from runs_support import trajectory_of
 from telemetry_support import edited
 
-from conftest import EXAMPLE, ROOT
+from conftest import ROOT
 from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
 from zygos.files.tables import read_columns, write_columns
@@ -485,7 +485,7 @@ def fine(scenario: Scenario, model: Model, arm: Arm) -> tuple[Arm, Cycles]:
 @pytest.fixture(scope="module")
 def quick() -> tuple[Arm, Cycles]:
     """The arm of examples/gap, 20 bit, 20 s at 200 Hz."""
-    folder = EXAMPLE.parent / "gap"
+    folder = ROOT / "examples" / "gap"
     from zygos.model.model import load_model
 
     scenario, arm = load_scenario(folder / "b.toml"), load_arm(folder / "arm.toml")

@@ -116,7 +116,7 @@ static int prepare_refinement(void)
     for (uint32_t i = 0; i < config.joints; i++) {
         settings.filter.torque_relative_sigma[i] = options.refine;
     }
-    if ((config.effects == 0u) && (zygos_refine_init(&fine, &config, &settings) == 1)) {
+    if ((config.effects == zygos_effects_gains(&config)) && (zygos_refine_init(&fine, &config, &settings) == 1)) {
         return 1;
     }
     return node_log("%s: --refine cannot refine this arm; remedy: no effects, flexible joints, torques that are held "

@@ -12,7 +12,7 @@ import numpy as np
 
 from zygos.arm import Arm, Smoother, TorqueLaw
 from zygos.audit.means import Array
-from zygos.effects import CATALOGUE, Effect, estimated
+from zygos.effects import CATALOGUE, Effect, with_gains
 from zygos.files.output import counted
 from zygos.native.flight import REASONS, Estimate, Flight, fits_window, lib
 from zygos.runs.cycles import Cycles
@@ -88,7 +88,7 @@ class Balance:
         """Take the first `MOST_CYCLES` cycles. Errors: ZygosError if the C library has no columns for the arm."""
         self.arm = arm
         self.cycles = Cycles(*(getattr(cycles, name)[:MOST_CYCLES] for name in Cycles.__dataclass_fields__))
-        unused = lib.ZYGOS_MAX_EFFECTS_VALUE - len(estimated(arm, ()))
+        unused = lib.ZYGOS_MAX_EFFECTS_VALUE - len(with_gains(arm, ()))
         friction = [(kind, joint.name) for kind in ("motor_coulomb", "motor_viscous") for joint in arm.joints]
         self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[: max(unused, 0)]]
         self.reason = ""

@@ -41,6 +41,8 @@ class Signals:
     """(..., m) rotor torque from the instant on, Nm."""
     gear_ratio: float
     totals: FromOrigin
+    jump_s: float = 0.0
+    """`zygos.arm.Arm.held_s`: only gains need it."""
     time: Floats = UNKNOWN
     """(..., m) or (m,) time since the start of the run, s; only laws that depend on time need it."""
     load: Floats = UNKNOWN
@@ -71,6 +73,7 @@ class Signals:
             after[..., joint],
             float(arm.gear_ratios[joint]),
             totals,
+            arm.held_s,
             time,
             load if load is UNKNOWN else load[..., joint],
         )
@@ -153,18 +156,27 @@ def energy_column(kind: Kind, signals: Signals | BaseSignals, shape: float | Non
             else -signals.totals.integral(kind.law(motion, form) * motion.rate)
         )
     s = signals
-    if kind.lags:
-        step = s.gear_ratio * (s.after - s.before) * s.motor_rate
-        # a motor that is late by T misses step T of each torque step; of the one at the instant half of it shows
-        return s.totals.sum_before(step) + 0.5 * step
     if kind.place == "torque":
-        if kind.potential is not None:
-            return -kind.potential(s.gear_ratio * s.motor_angle, form)
-        return -_held(kind, s, form, s.gear_ratio * s.motor_rate)
+        return _torque_energy_column(kind, s, form)
     if kind.potential is not None:
         return kind.potential(s.deflection, form)
     factor = s.gear_ratio if kind.place == "motor" else 1.0
     return s.totals.integral(factor * s.torque(kind, form) * s.side(kind)[0])
+
+
+def _torque_energy_column(kind: Kind, s: Signals, form: float) -> Floats:
+    """The same of an effect by which the motor's torque exceeds the reported one."""
+    if kind.gain:
+        moved = np.diff(s.motor_angle, append=s.motor_angle[..., -1:])
+        jump = s.jump_s * (s.after - s.before) * s.motor_rate
+        return -s.gear_ratio * (s.totals.sum_before(s.after * moved) + jump)
+    if kind.lags:
+        step = s.gear_ratio * (s.after - s.before) * s.motor_rate
+        # a motor that is late by T misses step T of each torque step; of the one at the instant half of it shows
+        return s.totals.sum_before(step) + 0.5 * step
+    if kind.potential is not None:
+        return -kind.potential(s.gear_ratio * s.motor_angle, form)
+    return -_held(kind, s, form, s.gear_ratio * s.motor_rate)
 
 
 def impulse_column(kind: Kind, signals: Signals, shape: float | None = None) -> Floats:
@@ -177,9 +189,18 @@ def impulse_column(kind: Kind, signals: Signals, shape: float | None = None) -> 
         return np.asarray(0.5 * (s.before + s.after), dtype=np.float64)
     if kind.place == "link":
         return np.zeros_like(s.link_rate)
+    if kind.gain:
+        return -motor_impulse(s)
     if kind.place == "torque":
         return -_held(kind, s, form, np.ones_like(s.motor_rate))
     return s.totals.integral(s.torque(kind, form)) / (1.0 if kind.place == "motor" else s.gear_ratio)
+
+
+def motor_impulse(signals: Signals) -> Floats:
+    """Impulse of the motor since the arc's origin, before the gear, (..., m) [Nms], raised by what a torque step adds
+    to the rate that is read."""
+    s = signals
+    return s.totals.period_s * s.totals.sum_before(s.after) + s.jump_s * (s.after - s.before)
 
 
 def joint_column(kind: Kind, signals: Signals, flexible: bool, shape: float | None = None) -> Floats:

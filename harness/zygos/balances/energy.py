@@ -86,15 +86,9 @@ def step_variance(arm: Arm, theta: Floats, tau: Floats) -> Floats:
     return total
 
 
-def held_torque(arm: Arm) -> float:
-    """h/12 where torques are held between SYNCs, else 0 [s]: a smooth curve through samples of a held torque's motion
-    has rates that are so many times the jump of the acceleration too high (docs/theory.md)."""
-    return 0.0 if arm.torque_law == "sampled" else arm.period_s / 12.0
-
-
 def torque_jump_energy(arm: Arm, thetad: Floats, before: Floats, after: Floats) -> Floats:
     """What a torque that jumps adds to the kinetic energy as it is read [J], (...), from torques (..., N) [Nm]."""
-    total: Floats = held_torque(arm) * np.sum(arm.gear_ratios * (after - before) * thetad, axis=-1)
+    total: Floats = arm.held_s * np.sum(arm.gear_ratios * (after - before) * thetad, axis=-1)
     return total
 
 

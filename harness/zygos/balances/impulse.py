@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.effects import Signals, impulse_column
-from zygos.balances.energy import DriveColumns, held_torque
+from zygos.balances.effects import Signals, impulse_column, motor_impulse
+from zygos.balances.energy import DriveColumns
 from zygos.balances.kinematics import body_columns
 from zygos.balances.quadrature import FromOrigin
 from zygos.balances.state import State
@@ -72,7 +72,7 @@ def impulse_rows(
         own = drive_impulse_columns(signals, carried[:, i])
         columns = [own.rotor + own.coupling, own.spring, own.damper]
         columns += [impulse_column(effect.kind, signals, effect.shape) for effect in joint_effects(arm, i, effects)]
-        z, w = np.stack(columns, axis=1), motor_impulse(arm, signals)
+        z, w = np.stack(columns, axis=1), motor_impulse(signals)
         out.append(ImpulseRows(i, impulse_names(arm, i, effects), signals.gear_ratio * z, signals.gear_ratio * w))
     return tuple(out)
 
@@ -85,13 +85,6 @@ def drive_impulse_columns(signals: Signals, carried: Floats) -> DriveColumns:
     s = signals
     spring = s.totals.integral(s.deflection) / s.gear_ratio
     return DriveColumns(s.gear_ratio * s.motor_rate, carried, spring, s.deflection / s.gear_ratio)
-
-
-def motor_impulse(arm: Arm, signals: Signals) -> Floats:
-    """Impulse of the motor since the arc's origin, before the gear, (..., m) [Nms], raised by what a torque step adds
-    to the rate that is read."""
-    s = signals
-    return arm.period_s * s.totals.sum_before(s.after) + held_torque(arm) * (s.after - s.before)
 
 
 def impulse_noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.arcs import FILL_INSTANTS
 from zygos.balances.effects import Signals, joint_column
-from zygos.balances.energy import held_torque
 from zygos.balances.kinematics import Posture, body_rates, crossed, planar_rates, posture
 from zygos.balances.quadrature import FromOrigin, integral
 from zygos.balances.state import State
@@ -266,7 +265,7 @@ def _impulse(arm: Arm, before: Floats, after: Floats, segment: NDArray[np.int64]
         of = np.flatnonzero(segment == number)
         total[of[1:]] = np.cumsum(after[of[:-1]], axis=0)
     jump = np.where(np.isfinite(before), after - before, 0.0)
-    return np.asarray(rigid * arm.gear_ratios * (arm.period_s * total + held_torque(arm) * jump), dtype=np.float64)
+    return np.asarray(rigid * arm.gear_ratios * (arm.period_s * total + arm.held_s * jump), dtype=np.float64)
 
 
 def _effect(

@@ -14,7 +14,7 @@ from cantools.database.namedsignalvalue import NamedSignalValue
 
 from zygos.arm import Arm, Joint
 from zygos.can.wire import data_ids, database
-from zygos.effects import Effect, estimated
+from zygos.effects import Effect, with_gains
 from zygos.errors import ZygosError
 from zygos.files.names import ascii_name, printable
 
@@ -74,7 +74,7 @@ def arm_database(arm: Arm, effects: Sequence[Effect] = ()) -> Database:
     effects: those whose values are estimated. Errors: ZygosError if the telemetry has no index for that many
     parameters.
     """
-    learned = estimated(arm, effects)
+    learned = with_gains(arm, effects)
     count = len(arm.parameter_names) + len(learned)
     if count > _MOST_PARAMETERS:
         raise ZygosError(

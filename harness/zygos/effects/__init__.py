@@ -1,6 +1,6 @@
 """The catalogue of effects beyond rigid bodies, rotors and linear springs, and effects in a model."""
 
-from zygos.effects.catalogue import CATALOGUE, COMPILED, ENTRIES, OFFSET, Catalogue, laws, load_laws
+from zygos.effects.catalogue import CATALOGUE, COMPILED, ENTRIES, GAIN, OFFSET, Catalogue, laws, load_laws
 from zygos.effects.effect import (
     Effect,
     EffectColumn,
@@ -9,9 +9,11 @@ from zygos.effects.effect import (
     columns_at,
     effect,
     estimated,
+    gains,
     is_column,
     sensed,
     spoken,
+    with_gains,
 )
 from zygos.effects.kind import PLACES, SLOWEST_RATE, Kind, Place, smooth_sign
 from zygos.effects.memory import Memory
@@ -21,6 +23,7 @@ __all__ = [
     "CATALOGUE",
     "COMPILED",
     "ENTRIES",
+    "GAIN",
     "OFFSET",
     "PLACES",
     "SLOWEST_RATE",
@@ -37,10 +40,12 @@ __all__ = [
     "columns_at",
     "effect",
     "estimated",
+    "gains",
     "is_column",
     "laws",
     "load_laws",
     "sensed",
     "smooth_sign",
     "spoken",
+    "with_gains",
 ]

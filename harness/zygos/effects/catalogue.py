@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 OFFSET = "spring_offset"
 """Key of the effect with which an estimator accounts for encoders whose zeros are wrong."""
 
+GAIN = "torque_gain"
+"""Key of the effect with which an estimator accounts for torque sensors whose gains differ."""
+
 SLOW_LOAD_RATE = 0.01
 """Rate over which the sign of friction in proportion to the load is blurred, rad/s, because a small rate does not show
 its sign."""
@@ -349,7 +352,7 @@ ENTRIES = (
         formula="|load| tanh(θ̇ / 0.01 rad/s)",
     ),
     Kind(
-        "torque_gain",
+        GAIN,
         "error of the torque sensor's gain",
         "1",
         "torque",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import MOST_JOINTS, Arm
-from zygos.effects.catalogue import CATALOGUE, OFFSET
+from zygos.effects.catalogue import CATALOGUE, GAIN, OFFSET
 from zygos.effects.kind import Kind, R
 from zygos.effects.motion import Motion
 from zygos.errors import ZygosError
@@ -196,11 +196,11 @@ def spoken(arm: Arm, column: str) -> str:
 def estimated(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """The effects that have a column in the energy balance, so that an estimator finds their values.
 
-    These are the effects of a model at its joints, without those of sensors and without those that exist only in an
-    estimate on the ground. Where it does not name the offset of a spring, the offset is added if the zero of one of the
-    encoders is uncertain (`zero_sigma_rad` above 0). Rotor coupling as in nature is part of the columns of every arm,
-    and an angular momentum does no work: both are omitted. Errors: ZygosError for any other rotor coupling, and for an
-    effect that the arm cannot have.
+    These are the effects of a model at its joints, without those of encoders and without friction in proportion to the
+    load, which only an estimate on the ground has. Where it does not name the offset of a spring, the offset is added
+    if the zero of one of the encoders is uncertain (`zero_sigma_rad` above 0). Rotor coupling as in nature is part of
+    the columns of every arm, and an angular momentum does no work: both are omitted. Errors: ZygosError for any other
+    rotor coupling, and for an effect that the arm cannot have.
     """
     for effect in effects:
         effect.index(arm)
@@ -217,5 +217,17 @@ def estimated(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     )
 
 
+def with_gains(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The effects that `estimated` names and, behind them, the gains of the torque sensors relative to the most exact
+    one (`Arm.relative_gains`), whether the effects name them or not. Errors: as `estimated`."""
+    others = (effect for effect in estimated(arm, effects) if not effect.kind.gain)
+    return (*others, *gains(arm))
+
+
+def gains(arm: Arm) -> tuple[Effect, ...]:
+    """The gain of each torque sensor that has one relative to the most exact sensor (`Arm.relative_gains`)."""
+    return tuple(Effect(CATALOGUE[GAIN], arm.joints[i].name, 0.0) for i in arm.relative_gains)
+
+
 def _has_column(kind: Kind) -> bool:
-    return kind.place in ("motor", "link", "spring", "torque") and not kind.on_ground
+    return kind.place in ("motor", "link", "spring", "torque")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from zygos.arm import Arm
 from zygos.can.run import COMPARE_BUS
+from zygos.effects import GAIN
 from zygos.files.output import counted, number
 from zygos.native.flight import MIN_SIGNAL_TO_NOISE, REASONS, Estimate, Flight
 
@@ -18,7 +20,19 @@ MANY_DROPPED = 0.02
 """Share of dropped cycles above which the loss is reported before any other cause."""
 LEAST_BLOCKS, INSTANTS_PER_PARAMETER = 8, 3
 """Minimum numbers of blocks and of instants per parameter for a solution, as in the C library."""
-NO_DATA, NOT_IDENTIFIABLE, TOO_FAST, NOT_PHYSICAL, _, UNCLOSED, NOISE, DECLARED, CHANGED, UNEXPLAINED = REASONS[1:]
+(
+    NO_DATA,
+    NOT_IDENTIFIABLE,
+    TOO_FAST,
+    NOT_PHYSICAL,
+    _,
+    UNCLOSED,
+    NOISE,
+    DECLARED,
+    CHANGED,
+    UNEXPLAINED,
+    GAIN_DIFFERS,
+) = REASONS[1:]
 _NEGATIVE_SIGMAS = 3.0
 _LISTED = 6
 """Largest number of names in a sentence."""
@@ -47,6 +61,7 @@ def measured(result: Estimate, flight: Flight) -> str:
         NOISE: f"in some combination the motion's square is {number(result.signal_to_noise, 2)} times that of the "
         "noise, "
         f"at least {MIN_SIGNAL_TO_NOISE:g} is needed",
+        GAIN_DIFFERS: _gains(result, flight.arm),
         DECLARED: f"the sum of squared residuals is {number(result.noise_ratio, 2)} of that of the declared noise",
     }
     return explained.get(result.reason, "") if result.rank else ""
@@ -67,6 +82,21 @@ def remedy(result: Estimate, flight: Flight, known: Sequence[Known] = ()) -> str
     return _FIXED.get(result.reason) or _motion(result, flight, known)
 
 
+def _gains(result: Estimate, arm: Arm) -> str:
+    """What was found of each gain, and what is declared of it."""
+    reference = arm.joints[arm.gain_reference]
+    listed = []
+    for i in arm.relative_gains:
+        joint, k = arm.joints[i], result.names.index(f"{GAIN}{i + 1}")
+        reported = 1.0 / (1.0 + result.solution[k])
+        declared = math.hypot(joint.torque_gain_sigma, reference.torque_gain_sigma)
+        listed.append(
+            f"{joint.name} reports {number(float(reported), 4)} times the torque that fits {reference.name}'s, "
+            f"declared 1 ± {number(1.96 * declared, 2)}"
+        )
+    return "; ".join(listed)
+
+
 _CHECK = "check signs, gear ratios, zeros and the torque_law of the arm file (`zygos check-arm`)"
 _CLOSE = (
     f"{_CHECK}; friction, cubic springs and torque lag are part of the balance only if --model names them, noise of "
@@ -78,6 +108,8 @@ _FIXED = {
     UNEXPLAINED: _CLOSE,
     NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); more of "
     "the same motion does not change that ratio",
+    GAIN_DIFFERS: "calibrate that torque sensor, or correct its scale or gear_ratio; if its gain is that uncertain, "
+    "declare it (torque_gain_sigma in the arm file); if it is exact, the model lacks an effect that looks like it",
     DECLARED: "state the sensors of the arm file as they are: counts or quantum_rad, rate_sigma",
     CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board call "
     "zygos_restart()",

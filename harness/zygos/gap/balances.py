@@ -28,8 +28,16 @@ from scipy.spatial.transform import Rotation
 
 from zygos import limits
 from zygos.arm import JOINT_ROW_S, Arm
-from zygos.balances import energy, impulse, joint, momentum
-from zygos.balances.effects import BaseSignals, Signals, energy_column, impulse_column, joint_column, momentum_column
+from zygos.balances import energy, joint, momentum
+from zygos.balances.effects import (
+    BaseSignals,
+    Signals,
+    energy_column,
+    impulse_column,
+    joint_column,
+    momentum_column,
+    motor_impulse,
+)
 from zygos.balances.field import Pull, pull
 from zygos.balances.kinematics import Posture, body_columns, posture
 from zygos.balances.quadrature import FromOrigin, from_first, integral, step_integrals
@@ -686,10 +694,10 @@ def _right(layout: Layout, moving: _Moving) -> Iterator[Array]:
     yield moving.thinned(work + energy.torque_jump_energy(arm, s.thetad, moving.before, moving.after))
     for i, one in enumerate(arm.joints):
         if one.flexible:
-            yield moving.thinned(impulse.motor_impulse(arm, moving.signals[i]))
+            yield moving.thinned(motor_impulse(moving.signals[i]))
     for i in layout.links:
         ratio = 0.0 if arm.joints[i].flexible else moving.signals[i].gear_ratio
-        yield moving.increments(ratio * impulse.motor_impulse(arm, moving.signals[i]))
+        yield moving.increments(ratio * motor_impulse(moving.signals[i]))
     for _ in layout.momenta:
         yield np.zeros(moving.thin.q.shape[:-1])
 

@@ -59,7 +59,7 @@ def increments(run: Run, values: Floats, effects: Sequence[Effect], window_s: fl
     short, and for an effect that exists only in estimates on the ground."""
     arm = run.arm
     for effect in effects:
-        if effect.kind.on_ground:
+        if effect.kind.place == "load":
             raise ZygosError(
                 f"effect {effect.kind.key} at {effect.joint}: arm {arm.name} has no rows for it; remedy: remove "
                 "the entry"

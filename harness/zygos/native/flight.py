@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, Smoother
 from zygos.cutoff import rate_cutoff
-from zygos.effects import Effect, estimated
+from zygos.effects import GAIN, Effect, with_gains
 from zygos.errors import ZygosError
 from zygos.runs.cycles import Cycles
 
@@ -308,8 +308,8 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         )
     _fill_joints(config, arm)
     _fill_reduction(config, arm)
-    _refuse_unflown(effects)
-    columns = estimated(arm, effects)
+    _refuse_unflown(arm, effects)
+    columns = with_gains(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
         raise ZygosError(
             f"{len(columns)} effects are to be estimated, this build holds {lib.ZYGOS_MAX_EFFECTS_VALUE}; "
@@ -323,9 +323,16 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     return config
 
 
-def _refuse_unflown(effects: Sequence[Effect]) -> None:
+def _refuse_unflown(arm: Arm, effects: Sequence[Effect]) -> None:
     """Refuse effects that the library has no columns for, naming them all."""
-    lacking = [effect for effect in effects if not effect.kind.flies]
+    lacking = [effect for effect in effects if not (effect.kind.flies or effect.kind.key == GAIN)]
+    exact = [e.joint for e in effects if e.kind.key == GAIN and e.index(arm) not in arm.relative_gains]
+    if exact:
+        raise ZygosError(
+            f"arm {arm.name!r} has no gain to find at {', '.join(map(str, exact))}: gains are relative to the joint "
+            "with the most exact torque sensor, and a torque_gain_sigma of 0 declares an exact one; remedy: a larger "
+            "torque_gain_sigma in the arm file, or leave the entry out"
+        )
     if lacking:
         listed = [f"{effect.kind.key}{f' at {effect.joint}' if effect.joint else ''}" for effect in lacking]
         these, them = ("this entry", "it") if len(lacking) == 1 else ("these entries", "them")
@@ -350,6 +357,7 @@ def _fill_joints(config: Any, arm: Arm) -> None:
         declared = joint.torque_sigma > 0.0
         out.torque_sigma = out.gear_ratio * joint.over_the_wire.torque_sigma if declared else 0.0
         out.torque_relative_sigma = joint.torque_relative_sigma
+        out.torque_gain_sigma = joint.torque_gain_sigma
         link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
         out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
@@ -428,7 +436,7 @@ class Flight:
                 f"the flight library refuses arm {arm.name!r}: {reason}; "
                 f"remedy: correct the {'effects' if verdict == lib.ZYGOS_E_EFFECT else 'arm file'}"
             )
-        self.effects = estimated(arm, effects)
+        self.effects = with_gains(arm, effects)
         own = arm.parameters
         self.names = (*(one.name for one in own), *(effect.column(arm) for effect in self.effects))
         if self.native.column_map.parameters != len(self.names):

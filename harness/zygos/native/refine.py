@@ -82,7 +82,7 @@ class OnboardRefiner:
             native.filter.torque_sigma[i] = math.hypot(joint.torque_sigma, TORQUE_STEP / math.sqrt(12.0))
             native.filter.torque_relative_sigma[i] = joint.torque_relative_sigma
         encoders = [one.link_encoder for one in arm.joints] + [one.motor_encoder for one in arm.joints]
-        for k, encoder in enumerate(encoders):
+        for k, encoder in enumerate(encoders, start=arm.n * native.filter.gains):
             native.beside_sigma[k] = max(native.beside_sigma[k], encoder.zero_sigma_rad)
         native.filter.bias_walk = arm.imu.bias_walk * math.sqrt(arm.period_s)
         native.filter.steps = settings.steps or native.filter.steps

@@ -34,6 +34,8 @@ class Settings:
     """Coulomb friction of each rotor."""
     offsets: bool = False
     """An offset of each torque."""
+    gains: bool = False
+    """The share by which each torque exceeds the reported one."""
     zeros: bool = False
     """Zeros of link and motor encoders."""
     second_order: float = 20.0
@@ -42,7 +44,7 @@ class Settings:
 
 class Refiner:
     """One filter. Its entries are the state (W base rates, q, theta and their rates), W biases of the gyro, p
-    parameters, and N frictions, N offsets, and 2N zeros where they are estimated."""
+    parameters, and N frictions, N offsets, N gains, and 2N zeros where they are estimated."""
 
     def __init__(self, arm: Arm, settings: Settings) -> None:
         """Errors: ZygosError where a joint is rigid or a setting is out of range."""
@@ -50,7 +52,7 @@ class Refiner:
         wire = arm.over_the_wire
         native = ffi.new("zygos_refiner_settings_t *")
         native.steps, native.friction = settings.steps, int(settings.friction)
-        native.offsets, native.zeros = int(settings.offsets), int(settings.zeros)
+        native.offsets, native.gains, native.zeros = int(settings.offsets), int(settings.gains), int(settings.zeros)
         native.size[0 : len(settings.size)] = settings.size.tolist()
         for i, joint in enumerate(wire.joints):
             native.torque_sigma[i] = math.hypot(arm.joints[i].torque_sigma, TORQUE_STEP / math.sqrt(12.0))

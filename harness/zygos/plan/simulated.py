@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.can.run import Run
-from zygos.effects import estimated
+from zygos.effects import with_gains
 from zygos.errors import Undecided, ZygosError
 from zygos.estimation.estimate import estimate
 from zygos.model.model import Model
@@ -97,7 +97,7 @@ def _estimated(arm: Arm, model: Model, run: Trajectory) -> _Told:
     """What the flight library says."""
     found = estimate(Run.of_cycles(arm, run.cycles()), model=model)
     known = {name: quantity.value for name, quantity in model.base_parameters(arm).items()}
-    known |= {one.column(arm): one.value for one in estimated(arm, model.effects)}
+    known |= {one.column(arm): one.value for one in with_gains(arm, model.effects)}
     columns = tuple(
         Column(name, unit, known.get(name, 0.0), name in arm.parameter_names)
         for name, unit in zip(found.names, found.units, strict=True)

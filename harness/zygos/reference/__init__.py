@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from zygos.arm import Arm
 from zygos.balances.energy import EnergyRows, energy_rows
 from zygos.balances.momentum import turns
-from zygos.effects import Effect
+from zygos.effects import Effect, with_gains
 from zygos.reference.accumulator import Design, design
-from zygos.reference.combination import motors, solve_with_others
+from zygos.reference.combination import combine, motors
 from zygos.reference.joints import groups
 from zygos.reference.noise import noise_of
 from zygos.reference.solver import Solution
@@ -26,13 +26,13 @@ __all__ = [
     "ReferenceStages",
     "calibrate",
     "chain",
+    "combine",
     "design",
     "energy_rows",
     "groups",
     "motors",
     "noise_of",
     "smooth",
-    "solve_with_others",
     "turns",
 ]
 
@@ -56,16 +56,19 @@ def chain(
     waited: as of `Samples`: what the library made no row of, because an arc waited for its end (`Trace.waited`). Here
     arcs close at once.
 
+    Gains of torque sensors are held at 0, because their prior needs blocks (`zygos.reference.gains`).
+
     Raises ZygosError for input that does not fit the arm, Undecided for a record that does not determine the
     parameters.
     """
     samples = replace(calibrate(arm, cycles), waited=waited or {})
     smoothed = smooth(arm, samples)
+    effects = with_gains(arm, effects)
     raw = energy_rows(arm, samples, smoothed, effects)
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     accumulated = design(balance, added.moment)
     of_motors, momentum = motors(arm, samples, smoothed, effects), turns(arm, samples, smoothed)
     joints = groups(arm, samples, smoothed, effects)
-    solution = solve_with_others(arm, accumulated, of_motors, momentum, joints, effects)
+    solution = combine(arm, accumulated, of_motors, momentum, joints, effects).solution
     return ReferenceStages(samples, smoothed, balance, accumulated, solution)

@@ -14,6 +14,7 @@ from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused, without_row
 from zygos.balances.momentum import Turns
 from zygos.effects import Effect, estimated
 from zygos.reference.accumulator import Design
+from zygos.reference.gains import Prior, solve_held
 from zygos.reference.joints import CAUTION, Groups, suffice
 from zygos.reference.solver import Rows, Solution, explained, solve
 from zygos.runs.samples import Samples
@@ -140,24 +141,33 @@ def combine(
     momentum: Turns | None,
     joints: Groups | None = None,
     effects: Sequence[Effect] = (),
+    prior: Prior | None = None,
 ) -> Combined:
     """Combine energy, motor, momentum and joint rows, each weighted by its noise; where the joint rows suffice, they
-    are the only ones. Raises Undecided as `solve`."""
+    are the only ones. effects: those of the columns. prior: of the gains among them, which are held at 0 without one.
+    Raises Undecided as `solve`."""
+    gains = sum(effect.kind.gain for effect in effects)
+
+    def solved(energy: Rows, beside: Sequence[Rows] = ()) -> Solution:
+        if prior is None:
+            return solve_held(energy, beside, gains)
+        return solve(energy, [*beside, prior.rows(energy.z.shape[1])])
+
     if joints is not None and suffice(arm):
-        return Combined(solve(joints.rows), (), 0.0, 1.0)
+        return Combined(solved(joints.rows), (), 0.0, 1.0)
     energy = Rows(design.z, design.w, design.noise)
-    alone = solve(energy)
+    alone = solved(energy)
     noise = design.noise / max(len(design.w), 1)
     weights = tuple(weight(arm, own, noise, alone.x) for own in motors)
     beside = [own.rows.times(factor) for factor, own in zip(weights, motors, strict=True) if factor > 0.0]
-    solution, factor = solve(energy, beside), 0.0
+    solution, factor = solved(energy, beside), 0.0
     if momentum is not None:
         names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
         third = placed(names, momentum)
         factor = momentum_weight(momentum, third, noise, solution.x)
         if factor > 0.0:
             beside.append(third.times(factor))
-            solution = solve(energy, beside)
+            solution = solved(energy, beside)
     fourth = 0.0
     if joints is not None and joints.enough:
         for measured in (False, True):
@@ -165,17 +175,5 @@ def combine(
             if not now > 0.0:
                 break
             fourth = now
-            solution = solve(energy, [*beside, joints.rows.times(fourth)])
+            solution = solved(energy, [*beside, joints.rows.times(fourth)])
     return Combined(solution, weights, factor, fourth)
-
-
-def solve_with_others(
-    arm: Arm,
-    design: Design,
-    motors: Sequence[MotorRows],
-    momentum: Turns | None,
-    joints: Groups | None = None,
-    effects: Sequence[Effect] = (),
-) -> Solution:
-    """The estimate of `combine`. Raises Undecided as `solve`."""
-    return combine(arm, design, motors, momentum, joints, effects).solution

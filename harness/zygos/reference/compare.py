@@ -21,6 +21,7 @@ from zygos.estimation.watch import Watch
 from zygos.native.flight import MIN_SIGNAL_TO_NOISE, ROWS, Estimate, Flight, LeftOut, Trace
 from zygos.reference.accumulator import Design, design
 from zygos.reference.combination import Combined, MotorRows, combine, motors
+from zygos.reference.gains import Prior, Sums, prior_of
 from zygos.reference.joints import Groups, groups, suffice
 from zygos.reference.noise import noise_of
 from zygos.reference.sigmas import Block, Intervals, intervals, joint_intervals
@@ -317,8 +318,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     if of_joints is not None and len(of_joints.rows.z) and not samples.voids:
         rooms.append(_compare_groups(flight, of_joints))
     estimate = flight.estimate()
-    has_value = np.isfinite(estimate.value)  # the library gives no value for what is not identifiable
-    if not has_value.any():
+    if not np.isfinite(estimate.value).any():  # the library gives no value for what is not identifiable
         return rooms
     if not balance.void:
         # the library subtracts the noise of arcs that are discarded later in proportion
@@ -329,11 +329,42 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     _, difference, tolerance = _closest(off, rounds.equations)
     rooms.append(Room("normal equations", off.size, difference, None, tolerance))
     try:
-        of_motors, momentum = motors(arm, samples, smoothed, flight.effects), turns(arm, samples, smoothed)
-        combined = combine(arm, used, of_motors, momentum, of_joints, flight.effects)
+        solved = _solved(arm, flight, samples, smoothed, used, of_joints)
     except Undecided:
         return rooms
-    solution = combined.solution
+    return [*rooms, *_compare_solution(arm, flight, estimate, known, of_joints, solved)]
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The estimate from all rows, the library's own sums of them, and the prior of the gains, if there are any."""
+
+    combined: Combined
+    sums: Sums
+    prior: Prior | None
+
+
+def _solved(
+    arm: Arm, flight: Flight, samples: Samples, smoothed: Smoothed, used: Design, of_joints: Groups | None
+) -> _Solved:
+    """Solve all rows. Raises Undecided as `combine`."""
+    effects = flight.effects
+    of_motors, momentum = motors(arm, samples, smoothed, effects), turns(arm, samples, smoothed)
+    combined = combine(arm, used, of_motors, momentum, of_joints, effects)
+    sums = sums_of(arm, flight, used, of_motors, momentum, of_joints, combined)
+    if not arm.relative_gains:
+        return _Solved(combined, sums, None)
+    prior = prior_of(arm, combined.solution, sums)
+    combined = combine(arm, used, of_motors, momentum, of_joints, effects, prior)
+    return _Solved(combined, sums_of(arm, flight, used, of_motors, momentum, of_joints, combined), prior)
+
+
+def _compare_solution(
+    arm: Arm, flight: Flight, estimate: Estimate, known: Tables, of_joints: Groups | None, solved: _Solved
+) -> list[Room]:
+    """Compare the solution, and sigmas and half widths where every parameter has them."""
+    used, sums, solution = known.used, solved.sums, solved.combined.solution
+    has_value = np.isfinite(estimate.value)
     tolerance = max(1e-9, 1e-14 * estimate.condition)
     size = sizes(arm, solution.x)
     # an effect may be zero; then its size is the largest value that the data would allow
@@ -342,17 +373,20 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     size[first:] = np.linalg.norm(own.w) / np.linalg.norm(own.z[:, first:], axis=0)
     relative = (np.abs(estimate.value - solution.x) / size)[has_value]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
+    of_solution = Room("solution", len(relative), worst, None, tolerance)
     clear = estimate.signal_to_noise >= MIN_SIGNAL_TO_NOISE and not estimate.noise_ratio < NOISE_ABSENT
-    if not balance.void and has_value.all() and clear:
-        # a sigma is computed from differences of solutions
-        closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
-        if closest <= SIGMA_DIGITS:
-            if of_joints is not None and suffice(arm):
-                expected = _of_groups(arm, flight, of_joints)
-            else:
-                expected = _of_blocks(arm, flight, used, of_motors, momentum, of_joints, combined)
-            rooms.append(_compare_sigmas(estimate, expected, closest))
-    return [*rooms, Room("solution", len(relative), worst, None, tolerance)]
+    if known.balance.void or not has_value.all() or not clear:
+        return [of_solution]
+    # a sigma is computed from differences of solutions
+    closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
+    if closest > SIGMA_DIGITS:
+        return [of_solution]
+    if of_joints is not None and suffice(arm):
+        expected = _of_groups(arm, flight, of_joints, solved.prior)
+    else:
+        scale, longest = solution.noise_scale, arc_cycles(arm)
+        expected = intervals(sums.energy, sums.others, sums.noise, sums.own, scale, longest, solved.prior)
+    return [_compare_sigmas(estimate, expected, closest), of_solution]
 
 
 def _compare_groups(flight: Flight, joints: Groups) -> Room:
@@ -371,17 +405,19 @@ def _compare_walk(flight: Flight, used: Design) -> Room:
     return Room("torque noise", 1, off, None, LARGEST_TOLERANCE)
 
 
-def _of_groups(arm: Arm, flight: Flight, joints: Groups) -> Intervals:
+def _of_groups(arm: Arm, flight: Flight, joints: Groups, prior: Prior | None) -> Intervals:
     """Sigmas and half widths from the library's own groups of joint rows."""
     blocks = [(sums, count) for sums, count in flight.blocks().joints if count > 0.0]
     apart = joints.apart()
     counts = np.array([count for _, count in blocks])
     half_s = 0.5 * arm.period_s * float(flight.native.config.joint_row_cycles)
     elapsed_s = float(counts.sum()) / arm.n * half_s
-    return joint_intervals([sums for sums, _ in blocks], counts, joints.rows.noise, apart, apart[1] / arm.n, elapsed_s)
+    return joint_intervals(
+        [sums for sums, _ in blocks], counts, joints.rows.noise, apart, apart[1] / arm.n, elapsed_s, prior
+    )
 
 
-def _of_blocks(
+def sums_of(
     arm: Arm,
     flight: Flight,
     used: Design,
@@ -389,10 +425,14 @@ def _of_blocks(
     momentum: Turns | None,
     joints: Groups | None,
     combined: Combined,
-) -> Intervals:
-    """Sigmas and half widths from the library's own blocks."""
+) -> Sums:
+    """The library's own blocks of the rows that are solved."""
     names = list(flight.names)
     blocks = flight.blocks()
+    if joints is not None and suffice(arm):
+        zero = np.zeros(len(names) + 1)
+        groups_of = [Block(own, zero) for own, count in blocks.joints if count > 0.0]
+        return Sums((), groups_of, joints.rows.noise, np.zeros_like(joints.rows.noise))
 
     def spread_out(own: Sequence[str], sums: Floats, factor: float) -> Floats:
         """(p+1, p+1) with the sums of some columns, and of their right-hand side if it has one.
@@ -422,8 +462,7 @@ def _of_blocks(
     if joints is not None and combined.joints_weight > 0.0:
         arcs += [Block(combined.joints_weight * sums, zero) for sums, _ in blocks.joints]
         noise += combined.joints_weight * joints.rows.noise
-    energy = [Block(*block) for block in blocks.energy]
-    return intervals(energy, arcs, noise, used.noise, combined.solution.noise_scale, arc_cycles(arm))
+    return Sums([Block(*block) for block in blocks.energy], arcs, noise, used.noise)
 
 
 def _compare_sigmas(estimate: Estimate, expected: Intervals, tolerance: float) -> Room:

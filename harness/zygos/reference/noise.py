@@ -216,6 +216,10 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
         torque, place = effect.kind.torque, effect.kind.place
         if effect.index(arm) != i:
             continue
+        if effect.kind.gain:
+            by_angle[:, k] = -ratio * here.tau[:, i] if side == "theta" else 0.0
+            by_rate[:, k] = -arm.held_s * ratio * jump if side == "theta" else 0.0
+            continue
         if place == "torque":
             by_rate[:, k] = 0.5 * ratio * jump if side == "theta" else 0.0
             continue
@@ -229,7 +233,7 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
             by_angle[:, k] = grows * (ratio if side == "theta" else 1.0) * torque(rate)
     if side == "theta":
         by_angle[:, -1] = ratio * here.tau[:, i]
-        by_rate[:, -1] = 0.0 if arm.torque_law == "sampled" else arm.period_s / 12.0 * ratio * jump
+        by_rate[:, -1] = arm.held_s * ratio * jump
     return arm.structure.reduced(by_angle), arm.structure.reduced(by_rate)
 
 

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zygos.quantiles import student_factor
 from zygos.reference.solver import LEAST_FREEDOM, SYSTEMATIC, explained, squares_of_blocks
+
+if TYPE_CHECKING:
+    from zygos.reference.gains import Prior
 
 Floats = NDArray[np.float64]
 
@@ -53,21 +57,29 @@ class Intervals:
 
 
 def intervals(
-    energy: Sequence[Block], arcs: Sequence[Block], noise: Floats, own: Floats, noise_scale: float, longest: int
+    energy: Sequence[Block],
+    arcs: Sequence[Block],
+    noise: Floats,
+    own: Floats,
+    noise_scale: float,
+    longest: int,
+    prior: Prior | None = None,
 ) -> Intervals:
     """Intervals of the estimate from the blocks of the energy rows and the arcs of the others.
 
     noise: (p+1, p+1) all noise that was subtracted. own: (p+1, p+1) its part in the energy rows. noise_scale: share of
-    the declared noise that was subtracted. longest: number of instants of the longest arc of the energy rows.
+    the declared noise that was subtracted. longest: number of instants of the longest arc of the energy rows. prior: of
+    the last parameters, the gains.
     """
     p = len(noise) - 1
     total = np.sum([block.sums for block in [*energy, *arcs]], axis=0)
     instants, square = sum(block.instants for block in energy), sum(block.square for block in energy)
     back = (1.0 - noise_scale) * noise
     scale = 1.0 / np.sqrt(np.diag(total + noise)[:p])
+    known = np.zeros((p, p)) if prior is None else prior.placed(p)
 
     def solved(sums: Floats, added: float = 0.0) -> tuple[Floats, Floats]:
-        scaled = sums[:p, :p] * np.outer(scale, scale) + added * np.eye(p)
+        scaled = (sums[:p, :p] + known) * np.outer(scale, scale) + added * np.eye(p)
         inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
         return scale * (inverse @ (scale * sums[p, :p])), inverse
 
@@ -90,14 +102,24 @@ def intervals(
     excess = max(0.0, square_left - noise_scale * explained(own, x))
     stays = instants / longest * max(SYSTEMATIC, excess / square_left)
     covariance *= 1.0 + max(stays, (len(energy) - 1) * alike)
-    covariance += np.outer(scale, scale) * (inverse @ _walk(energy, scale) @ inverse.T)
+    covariance += np.outer(scale, scale) * (inverse @ walk(energy, scale) @ inverse.T)
     hidden, _ = solved(total + back, excess / float(x**2 @ np.diag(total)[:p]))
     covariance += np.diag((hidden - x) ** 2)
     freedom = np.maximum(np.sum(gains, axis=0) ** 2 / np.sum(np.square(gains), axis=0), LEAST_FREEDOM)
-    return Intervals(covariance, np.sqrt(np.diag(covariance)) * student_factor(0.95, freedom))
+    return _with_prior(covariance, freedom, np.outer(scale, scale) * inverse, prior)
 
 
-def _walk(energy: Sequence[Block], scale: Floats) -> Floats:
+def _with_prior(covariance: Floats, freedom: Floats, inverse: Floats, prior: Prior | None) -> Intervals:
+    """The intervals from the scatter (p, p) with its degrees of freedom (p,), and from the prior of the gains."""
+    if prior is None:
+        return Intervals(covariance, np.sqrt(np.diag(covariance)) * student_factor(0.95, freedom))
+    error = prior.error(inverse)
+    certain = student_factor(0.95, np.array([np.inf])) ** 2 * np.diag(error)
+    half95 = np.sqrt(student_factor(0.95, freedom) ** 2 * np.diag(covariance) + certain)
+    return Intervals(covariance + error, half95)
+
+
+def walk(energy: Sequence[Block], scale: Floats) -> Floats:
     """(p, p) covariance of the scaled right side by the noise of torques, which walks in the work of an arc.
 
     A step of the walk counts with the sum of all rows behind it. Where the sums of all blocks do not end at 0, the rest
@@ -120,18 +142,22 @@ def joint_intervals(
     apart: tuple[Floats, int],
     segments: float,
     elapsed_s: float,
+    prior: Prior | None = None,
 ) -> Intervals:
     """Intervals of the estimate from the groups of joint rows alone, all of whose declared noise was subtracted.
 
     groups: (p+1, p+1) sums of each. counts: (groups,) rows of each. noise: (p+1, p+1) what was subtracted. apart:
     squared sums of rows in segments, and their number. segments: their number for a joint. elapsed_s: their time.
+    prior: as of `intervals`.
     """
     total = np.sum(groups, axis=0)
     p = len(total) - 1
     scale = 1.0 / np.sqrt(np.diag(total + noise)[:p])
 
+    known = np.zeros((p, p)) if prior is None else prior.placed(p)
+
     def solved(sums: Floats) -> tuple[Floats, Floats]:
-        inverse = np.asarray(np.linalg.inv(sums[:p, :p] * np.outer(scale, scale)), dtype=np.float64)
+        inverse = np.asarray(np.linalg.inv((sums[:p, :p] + known) * np.outer(scale, scale)), dtype=np.float64)
         return scale * (inverse @ (scale * sums[p, :p])), inverse
 
     x, inverse = solved(total)
@@ -149,5 +175,4 @@ def joint_intervals(
     alike = max(0.0, 1.0 - CLUSTER_LIMIT / cluster)
     covariance *= 1.0 + max(SYSTEMATIC * elapsed_s / SYSTEMATIC_S, (segments - 1.0) * alike)
     freedom = np.sum(gains, axis=0) ** 2 / np.sum(np.square(gains), axis=0) - 1.0
-    half95 = np.sqrt(np.diag(covariance)) * student_factor(0.95, np.maximum(freedom, LEAST_FREEDOM))
-    return Intervals(covariance, half95)
+    return _with_prior(covariance, np.maximum(freedom, LEAST_FREEDOM), np.outer(scale, scale) * inverse, prior)

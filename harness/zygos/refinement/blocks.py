@@ -81,8 +81,8 @@ class Blocks:
 class Slopes:
     """Derivatives of k numbers of each block.
 
-    Constants are the p parameters, then Coulomb friction of each rotor, the offset of each torque, the zeros of all
-    encoders, and what no model has: a delay of all torques in periods, and a gain of each. All are in SI units.
+    Constants are the p parameters, then Coulomb friction of each rotor, the offset and the gain of each torque, the
+    zeros of all encoders, and what no model has: a delay of all torques in periods. All are in SI units.
     """
 
     of_state: Floats
@@ -224,14 +224,14 @@ def _polynomials(m: int, count: int) -> Floats:
 
 def linearise(blocks: Blocks, propagation: Propagation, values: Floats, beside: Floats, states: Floats) -> Linear:
     """The motion of all blocks, from states (B, W + 4N) at their first SYNCs with parameters (p,), SI units, and
-    constants beside them (4N,) as in `Slopes`.
+    constants beside them (5N,) as in `Slopes`.
 
     Errors: ZygosError where no inertia resists.
     """
     arm, n = blocks.record.arm, blocks.record.arm.n
     motion = FlexibleMotion(arm, values)
-    friction, offset, zero = beside[:n], beside[n : 2 * n], beside[2 * n :]
-    drive = blocks.tau - offset
+    friction, offset, gain, zero = beside[:n], beside[n : 2 * n], beside[2 * n : 3 * n], beside[3 * n :]
+    drive = (1.0 + gain) * blocks.tau - offset
     path = propagation.path(np.concatenate([values, friction]), states, drive)
     look = _look(arm, motion.base_rates)
     parts = [
@@ -264,13 +264,13 @@ def linearise(blocks: Blocks, propagation: Propagation, values: Floats, beside: 
 
 def _slopes(table: Floats, motion: FlexibleMotion, acting: Floats, zeros: Floats) -> Slopes:
     """Of a table (B, k, x + p + L N) as `_stretches` gives it. acting: (B, L, N, a) shapes of the torques that a
-    constants stand for, of which the first 2N come before the zeros; zeros: (B, k, 2N) what those of encoders do."""
+    constants stand for, of which the first 3N come before the zeros; zeros: (B, k, 2N) what those of encoders do."""
     n, x, p = motion.arm.n, motion.states, len(motion.values)
     of_torque = table[..., x + p :]
     moved = of_torque @ acting.reshape(len(table), -1, acting.shape[-1])
     return Slopes(
         table[..., :x],
-        np.concatenate([table[..., x : x + p], moved[..., : 2 * n], zeros, moved[..., 2 * n :]], axis=2),
+        np.concatenate([table[..., x : x + p], moved[..., : 3 * n], zeros, moved[..., 3 * n :]], axis=2),
         of_torque.reshape(*table.shape[:2], -1, n),
     )
 
@@ -371,10 +371,10 @@ def _signs(motor: Floats) -> Floats:
 
 
 def _added(blocks: Blocks, signs: Floats) -> Floats:
-    """(B, m, 3N + 1, N) what the constants that act like torques add to each of them: friction and offset of each
-    joint, a delay, and the gain of each. signs: as `_signs`."""
+    """(B, m, 3N + 1, N) what the constants that act like torques add to each of them: friction, offset and gain of each
+    joint, and a delay. signs: as `_signs`."""
     own = np.eye(signs.shape[2])
     offset = np.broadcast_to(-own, (*signs.shape, len(own)))
     return np.concatenate(
-        [-signs[:, :, None] * own, offset, blocks.around[:, :, None], blocks.tau[:, :, None] * own], axis=2
+        [-signs[:, :, None] * own, offset, blocks.tau[:, :, None] * own, blocks.around[:, :, None]], axis=2
     )

@@ -32,13 +32,14 @@ _ROWS = 8
 
 @dataclass(frozen=True)
 class Start:
-    """Where a solution begins: p parameters in SI units, and 4N constants beside them: friction of each rotor, Nm, the
-    offset of each torque, Nm before the gear, and the zeros of link and motor encoders, rad."""
+    """Where a solution begins: p parameters in SI units, and 5N constants beside them: friction of each rotor, Nm, the
+    offset of each torque, Nm before the gear, its gain, the share by which it exceeds the reported one, and the zeros
+    of link and motor encoders, rad."""
 
     value: Floats
     """(p,)."""
     beside: Floats
-    """(4N,)."""
+    """(5N,)."""
 
 
 @dataclass(frozen=True)
@@ -65,16 +66,16 @@ class Prior:
 
 @dataclass(frozen=True)
 class Pass:
-    """What one solution has found; p parameters, 4N constants beside them."""
+    """What one solution has found; p parameters, 5N constants beside them."""
 
     value: Floats
     """(p,) parameters, SI units."""
     covariance: Floats
     """(p, p)."""
     beside: Floats
-    """(4N,) friction, offsets and zeros, as in `Start`."""
+    """(5N,) as in `Start`."""
     beside_sigma: Floats
-    """(4N,)."""
+    """(5N,)."""
     deviance: float
     """Sum of ln s + e^2/s over all innovations e with variances s: the lower, the more the readings favour the
     noise that was assumed. Comparable where the linear motion is the same."""

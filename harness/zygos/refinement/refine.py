@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from zygos import limits
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.can.run import Run, joined
-from zygos.effects import Effect
+from zygos.effects import Effect, gains
 from zygos.errors import Undecided, ZygosError
 from zygos.estimation.estimate import Estimation, estimate
 from zygos.files.output import number
@@ -206,7 +206,8 @@ def refine_runs(
         raise ZygosError("there is no run to refine from; remedy: give at least one")
     arm = runs[0].arm
     check_supported(arm, () if model is None else model.effects)
-    effects = () if model is None else tuple(one for one in model.effects if one.kind.key in LEARNED)
+    named = () if model is None else tuple(one for one in model.effects if one.kind.key in LEARNED)
+    effects = (*(one for one in named if not one.kind.gain), *gains(arm))
     record = record_of(arm, runs)
     energy = estimate(joined(runs), model=model)
     progress(0.02)
@@ -242,13 +243,15 @@ def refine_runs(
 
 def _limit(motion: FlexibleMotion, record: Record, found: Found, levels: Sequence[float]) -> Bound | None:
     """The bound of the motion that was followed: what the readings alone tell of the parameters, where nobody knows
-    states, biases and zeros."""
+    states, biases, gains and zeros."""
     p, n = len(motion.size), motion.arm.n
-    zeros = found.prior.solved[found.prior.solved >= p + 2 * n].tolist()
-    known = np.eye(len(zeros), len(zeros) + p)
-    information = triangle_of(np.concatenate([found.final.triangle[:, zeros + list(range(p))], known]))
+    unknown = np.flatnonzero(found.prior.solved >= p + 2 * n)
+    known = np.zeros((len(unknown), len(unknown) + p))
+    known[:, : len(unknown)] = found.prior.root[np.ix_(unknown, unknown)]
+    columns = [*found.prior.solved[unknown].tolist(), *range(p)]
+    information = triangle_of(np.concatenate([found.final.triangle[:, columns], known]))
     try:
-        return bound_from(motion, information[len(zeros) :, len(zeros) :], np.array(levels), record.cycles)
+        return bound_from(motion, information[len(unknown) :, len(unknown) :], np.array(levels), record.cycles)
     except Undecided:
         return None
 

@@ -40,10 +40,10 @@ class Rival:
 def rivals(arm: Arm, found: Pass, prior: Prior) -> tuple[Rival, ...]:
     """Each rival of a solution; what it has solved for is none."""
     p, n = len(found.value), arm.n
-    delay = p + 4 * n
+    delay, gain = p + 5 * n, p + 2 * n
     listed = [(delay, "a delay of the torques", "ms", 1e3 * arm.period_s)]
     # nobody can tell the gain of all joints together
-    listed += [(delay + 1 + k, f"a larger torque of {arm.joints[k].name}", "%", 100.0) for k in range(1, n)]
+    listed += [(gain + k, f"a larger torque of {arm.joints[k].name}", "%", 100.0) for k in range(1, n)]
     listed += [(p + k, f"Coulomb friction of the motor of {arm.joints[k].name}", "Nm", 1.0) for k in range(n)]
     listed += [(p + n + k, f"an offset of the torque of {arm.joints[k].name}", "Nm", 1.0) for k in range(n)]
     answers = []

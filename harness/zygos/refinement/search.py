@@ -42,7 +42,7 @@ _RATIO = 10.0
 _HALVINGS = 3
 """How often the ratio is halved, in powers, around the best level."""
 _SHARE = 0.01
-"""Unit of a delay, in periods, and of a gain, both of which are tested only."""
+"""Unit of a delay, in periods, and of a gain, where they are tested only."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Search:
         self, arm: Arm, record: Record, start: Start, around: Floats, beside: Floats, progress: Progress
     ) -> None:
         """Begin at a start. around: (p, p) covariance within which a solution stays around the parameters it begins
-        with, SI units; beside: (4N,) deviations of the constants beside them. Nothing is computed yet."""
+        with, SI units; beside: (5N,) deviations of the constants beside them. Nothing is computed yet."""
         self.arm, self.record, self.start, self.around, self.beside = arm, record, start, around, beside
         self.progress, self.tried = progress, dict[float, Pass]()
         declared = np.array([joint.torque_relative_sigma for joint in arm.joints])
@@ -131,16 +131,24 @@ class Search:
         """What is known without the readings."""
         size, n = self.linear.size, self.arm.n
         p = len(size)
-        expected = np.concatenate([EXPECTED * self.typical, EXPECTED * self.typical, np.zeros(2 * n)])
-        unit = np.concatenate([size, np.where(self.beside > 0.0, self.beside, expected), np.full(1 + n, _SHARE)])
+        torque = EXPECTED * self.typical
+        expected = np.concatenate([torque, torque, np.full(n, _SHARE), np.zeros(2 * n)])
+        unit = np.concatenate([size, np.where(self.beside > 0.0, self.beside, expected), [_SHARE]])
         free = np.flatnonzero(self.beside > 0.0)
         root = np.eye(p + len(free))
         own = np.linalg.cholesky(self.around / np.outer(size, size))
         root[:p, :p] = triangle_of(solve_triangular(own, np.eye(p), lower=True))
-        # a value may move from solution to solution, but a zero is known to be near 0
+        gains = p + np.flatnonzero((free >= 2 * n) & (free < 3 * n))
+        if len(gains):
+            spread = np.linalg.cholesky(
+                self.arm.relative_gain_covariance
+                / np.outer(unit[p + free], unit[p + free])[np.ix_(gains - p, gains - p)]
+            )
+            root[np.ix_(gains, gains)] = triangle_of(solve_triangular(spread, np.eye(len(gains)), lower=True))
+        # a value may move from solution to solution, but a gain or a zero is known to be near 0
         pull = np.zeros(len(root))
-        zeros = free >= 2 * n
-        pull[p:][zeros] = self.start.beside[free[zeros]] / self.beside[free[zeros]]
+        known = p + np.flatnonzero(free >= 2 * n)
+        pull[known] = root[np.ix_(known, known)] @ (self.start.beside[free] / self.beside[free])[known - p]
         return Prior(unit, np.concatenate([np.arange(p), p + free]), root, pull)
 
     def _follow(self, level: float, *, keep: bool = False) -> Pass:

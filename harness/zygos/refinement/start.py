@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zygos import limits
 from zygos.arm import Arm
-from zygos.effects import Effect
+from zygos.effects import GAIN, Effect
 from zygos.errors import Undecided
 from zygos.estimation.estimate import Estimation
 from zygos.model.model import Model
@@ -21,7 +21,7 @@ from zygos.refinement.rivals import EXPECTED, typical_torque
 
 Floats = NDArray[np.float64]
 
-LEARNED = ("motor_coulomb", "torque_offset")
+LEARNED = ("motor_coulomb", "torque_offset", GAIN)
 """Effects that are estimated as constants beside the parameters, in the order of `Start.beside`."""
 _ADDED = 0.005
 """What is added to the standard deviations of the energy estimate at the start, in units of the sizes."""
@@ -35,7 +35,7 @@ def begin(
     arm: Arm, energy: Estimation, model: Model | None, effects: Sequence[Effect], record: Record
 ) -> tuple[Start, Floats, Floats]:
     """The start, the covariance (p, p) within which a solution stays around the parameters that it begins with, SI
-    units, and the deviations (4N,) of the constants beside them; 0: known.
+    units, and the deviations (5N,) of the constants beside them; 0: known.
 
     Errors: Undecided where the record is too short, or energy rows determine too little.
     """
@@ -69,7 +69,8 @@ def begin(
         scaled += np.diag(np.where(missing, np.where(own > 0.0, own, _ASSUMED) ** 2, 0.0))
     typical = typical_torque(record)
     known = [joint.link_encoder for joint in arm.joints] + [joint.motor_encoder for joint in arm.joints]
-    beside, sigma = np.zeros((2, arm.n)), np.zeros((2, arm.n))
+    beside, sigma = np.zeros((3, arm.n)), np.zeros((3, arm.n))
+    spread_of_gains = np.sqrt(np.diag(arm.relative_gain_covariance))
     for one in effects:
         kind, joint = LEARNED.index(one.kind.key), one.index(arm)
         place = energy.names.index(one.column(arm))
@@ -77,7 +78,10 @@ def begin(
         least = EXPECTED * float(typical[joint])
         known_well = math.isfinite(found + spread)
         beside[kind, joint] = found if known_well else 0.0
-        sigma[kind, joint] = math.hypot(_WIDER * spread, least) if known_well else least
+        if one.kind.gain:
+            sigma[kind, joint] = spread_of_gains[arm.relative_gains.index(joint)]
+        else:
+            sigma[kind, joint] = math.hypot(_WIDER * spread, least) if known_well else least
     zeros = np.array([one.zero_uncertainty_rad for one in known])
     return (
         Start(value, np.concatenate([beside.ravel(), np.zeros_like(zeros)])),
