@@ -99,7 +99,7 @@ def test_what_is_saved_is_the_librarys_own_memory(
     expected = {"length", "crc", "range", "late", "repeated", "incomplete", "dropped", "bus_error", "counter"}
     assert {name for name, n in faults.items() if n} == expected
     assert [counters[f"node_{name}"] for name in NODE] == 6 * [0]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["state.zyg"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["state.zyg", "state.zyg.lock"]
 
 
 @pytest.mark.parametrize("every", [50, 200])
@@ -388,7 +388,7 @@ def test_a_state_that_cannot_be_saved_is_no_success(config: Path, tmp_path: Path
     folder = tmp_path / "gone"
     folder.mkdir()
     with Node("--config", config, "--state", folder / "state.zyg") as node:
-        folder.rmdir()
+        shutil.rmtree(folder)
         node.process.send_signal(signal.SIGTERM)
         code, counters, said = node.wait()
     assert code == 2

@@ -97,10 +97,11 @@ class Node:
         pair: tuple[socket.socket, socket.socket] | None = None,
         environment: dict[str, str] | None = None,
         through: tuple[str, ...] = (),
+        program: Path | None = None,
     ) -> None:
         self.near, far = pair or socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.answers: list[tuple[int, bytes]] = []
-        command = [*through, str(build()), *map(str, arguments), "--fd", str(far.fileno())]
+        command = [*through, str(program or build()), *map(str, arguments), "--fd", str(far.fileno())]
         self.process = subprocess.Popen(
             command,
             pass_fds=[far.fileno()],

@@ -1,7 +1,6 @@
 /* zygos-node: the flight library on a CAN interface of Linux. docs/node.md. */
 
 #include <poll.h>
-#include <signal.h>
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
@@ -9,6 +8,8 @@
 #include "bus.h"
 #include "log.h"
 #include "options.h"
+#include "privileges.h"
+#include "signals.h"
 #include "store.h"
 #include "telemetry.h"
 #include "zygos/refine.h"
@@ -25,56 +26,12 @@ static node_bus_t bus;
 static node_telemetry_t telemetry;
 static node_store_t store;
 static zygos_refine_t fine;
-static volatile sig_atomic_t stop_requested;
-
-static void request_stop(int signal_number)
-{
-    (void)signal_number;
-    stop_requested = 1;
-}
 
 static double now_s(void)
 {
     struct timespec now;
     (void)clock_gettime(CLOCK_MONOTONIC, &now);
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
-}
-
-/* A reader of stderr who has gone, and a limit to the size of files, are answered by the calls that meet them. */
-static void ignore_signals(void)
-{
-    struct sigaction action;
-    memset(&action, 0, sizeof action);
-    action.sa_handler = SIG_IGN;
-    (void)sigaction(SIGPIPE, &action, NULL);
-    (void)sigaction(SIGXFSZ, &action, NULL);
-}
-
-/* Signals come in while ppoll() waits with this mask, and at no other time: none is missed. Where frames always wait,
-   ppoll() never does: is_told_to_end() looks. */
-static sigset_t catch_signals(void)
-{
-    struct sigaction action;
-    memset(&action, 0, sizeof action);
-    action.sa_handler = request_stop;
-    (void)sigaction(SIGTERM, &action, NULL);
-    (void)sigaction(SIGINT, &action, NULL);
-    sigset_t both;
-    sigset_t while_waiting;
-    (void)sigemptyset(&both);
-    (void)sigaddset(&both, SIGTERM);
-    (void)sigaddset(&both, SIGINT);
-    (void)sigprocmask(SIG_BLOCK, &both, &while_waiting);
-    (void)sigdelset(&while_waiting, SIGTERM);
-    (void)sigdelset(&while_waiting, SIGINT);
-    return while_waiting;
-}
-
-static bool is_stop_requested(void)
-{
-    sigset_t pending;
-    (void)sigpending(&pending);
-    return (stop_requested != 0) || (sigismember(&pending, SIGTERM) == 1) || (sigismember(&pending, SIGINT) == 1);
 }
 
 /* Waits for a frame, a signal or the time. */
@@ -262,7 +219,7 @@ static int run(const sigset_t *mask)
     double last_frame_s = now_s();
     int reading = NODE_EMPTY;
     send_heartbeat(NODE_BOOT);
-    while (!is_stop_requested() && (reading >= NODE_EMPTY)) {
+    while (!node_signals_ended() && (reading >= NODE_EMPTY)) {
         const double idle_end_s = (idle_s > 0.0) ? last_frame_s + idle_s : heartbeat_s;
         wait_until((idle_end_s < heartbeat_s) ? idle_end_s : heartbeat_s, mask);
         reading = process_batch(&frames, &syncs);
@@ -296,14 +253,14 @@ int main(int argc, char **argv)
     if (understood < 1) {
         return (understood == 0) ? 0 : REFUSED;
     }
-    ignore_signals();
-    if ((node_store_config(options.config, &config) < 1) ||
-        (node_store_open(&store, options.state, options.config) < 1) || (node_bus_open(&bus, &options, &config) < 1) ||
+    node_signals_ignore();
+    if ((node_store_config(options.config, &config) < 1) || (node_bus_open(&bus, &options, &config) < 1) ||
+        (node_privileges_drop(&options) < 1) || (node_store_open(&store, options.state, options.config) < 1) ||
         (begin(false) < 1) || (prepare_refinement() < 1)) {
         return REFUSED;
     }
     node_telemetry_init(&telemetry, options.every);
-    const sigset_t mask = catch_signals();
+    const sigset_t mask = node_signals_catch();
     node_log("listening on %s, %u joints, %u parameters, %s cycle %llu", options.interface ? options.interface : "--fd",
              config.joints, arm.column_map.parameters, (arm.cycles > 0u) ? "goes on behind" : "starts at",
              (unsigned long long)arm.cycle);

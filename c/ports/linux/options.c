@@ -12,11 +12,12 @@
 
 static const char help[] =
     "usage: zygos-node --config arm.zyg (-i CAN | --fd N) [--state FILE [--save-every SYNCS]]\n"
-    "                  [--every SYNCS] [--refine SHARE] [--exit-idle SECONDS]\n"
+    "                  [--every SYNCS] [--refine SHARE] [--exit-idle SECONDS] [--user NAME]\n"
     "\n"
     "Learns an arm's dynamics from the frames of a CAN interface, and answers on it with estimates, intervals and "
     "fault\n"
-    "counters (0x1A0) and a heartbeat (0x720). SIGTERM or SIGINT: works off what has been received, saves, ends.\n"
+    "counters (0x1A0) and a heartbeat (0x720). SIGTERM, SIGINT or SIGHUP: works off what has been received, saves, "
+    "ends.\n"
     "\n"
     "  --config FILE        the arm, written by `zygos compile-model`\n"
     "  -i, --interface CAN  interface to receive from and to answer on, for instance can0\n"
@@ -27,6 +28,9 @@ static const char help[] =
     "  --refine SHARE       also refine the estimate; SHARE: noise of the torques divided by their size, 0: none "
     "declared\n"
     "  --exit-idle SECONDS  end when no frame came for so long\n"
+    "  --user NAME          started as root: become this user once the socket is open (the owner of the folder of "
+    "the\n"
+    "                       state, or without --state of the configuration)\n"
     "\n"
     "Exit codes: 0 ended as told; 2 an option or the configuration was refused, or the state could not be saved.\n";
 
@@ -57,13 +61,17 @@ static bool whole(const char *option, const char *text, double low, double high,
 
 int node_options_read(int argc, char **argv, node_options_t *out)
 {
-    static const struct option known[] = {
-        { "config", required_argument, NULL, 'c' }, { "interface", required_argument, NULL, 'i' },
-        { "fd", required_argument, NULL, 'f' },     { "state", required_argument, NULL, 's' },
-        { "every", required_argument, NULL, 'e' },  { "save-every", required_argument, NULL, 'v' },
-        { "refine", required_argument, NULL, 'r' }, { "exit-idle", required_argument, NULL, 'x' },
-        { "help", no_argument, NULL, 'h' },         { NULL, 0, NULL, 0 }
-    };
+    static const struct option known[] = { { "config", required_argument, NULL, 'c' },
+                                           { "interface", required_argument, NULL, 'i' },
+                                           { "fd", required_argument, NULL, 'f' },
+                                           { "state", required_argument, NULL, 's' },
+                                           { "every", required_argument, NULL, 'e' },
+                                           { "save-every", required_argument, NULL, 'v' },
+                                           { "refine", required_argument, NULL, 'r' },
+                                           { "exit-idle", required_argument, NULL, 'x' },
+                                           { "user", required_argument, NULL, 'u' },
+                                           { "help", no_argument, NULL, 'h' },
+                                           { NULL, 0, NULL, 0 } };
     *out = (node_options_t){ .fd = -1, .every = 100u, .refine = -1.0 };
     double value = 0.0;
     for (int letter = 0; letter != -1;) {
@@ -107,6 +115,9 @@ int node_options_read(int argc, char **argv, node_options_t *out)
             if (!number("exit-idle", optarg, 0.1, 1e9, &out->idle_s)) {
                 return -1;
             }
+            break;
+        case 'u':
+            out->user = optarg;
             break;
         case 'h':
             fputs(help, stdout);

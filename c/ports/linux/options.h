@@ -10,6 +10,7 @@ typedef struct {
     const char *interface; ///< CAN interface, or null.
     int fd;                ///< A socket that is open already, or -1.
     const char *state;     ///< File of a sealed state, or null.
+    const char *user;      ///< Name of the user that root becomes, or null.
     uint32_t every;        ///< SYNCs from one estimate to the next.
     uint32_t save_every;   ///< SYNCs from one save to the next; 0: saved at the end alone.
     double refine;         ///< Noise of the torques as a share of their size, 0: none declared; -1: no refinement.

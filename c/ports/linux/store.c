@@ -11,6 +11,7 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
+#include "lock.h"
 #include "log.h"
 #include "zygos/snapshot.h"
 #include "zygos/text.h"
@@ -123,8 +124,7 @@ int node_store_config(const char *path, zygos_config_t *config)
     return node_log("%s: %s; remedy: %s", path, reason_of(verdict), remedy_of(verdict)->config);
 }
 
-/* The folder of a path, in a buffer of the caller's. */
-static const char *folder_of(const char *path, char *buffer, size_t size)
+const char *node_store_folder(const char *path, char *buffer, size_t size)
 {
     (void)snprintf(buffer, size, "%s", path);
     return dirname(buffer);
@@ -132,7 +132,7 @@ static const char *folder_of(const char *path, char *buffer, size_t size)
 
 int node_store_open(node_store_t *self, const char *path, const char *config)
 {
-    *self = (node_store_t){ .path = path, .good = true };
+    *self = (node_store_t){ .path = path, .good = true, .lock = -1 };
     if (path == NULL) {
         return 1;
     }
@@ -142,28 +142,28 @@ int node_store_open(node_store_t *self, const char *path, const char *config)
                         strerror(ENAMETOOLONG));
     }
     struct stat entry;
-    const char *folder = folder_of(path, buffer, sizeof buffer);
+    const char *folder = node_store_folder(path, buffer, sizeof buffer);
     const bool reached = (stat(folder, &entry) == 0);
     if (!reached || !S_ISDIR(entry.st_mode)) {
         return node_log("%s: could not be saved (%s); remedy: name a file in a folder that is there", path,
                         strerror(reached ? ENOTDIR : errno));
     }
-    if (access(folder, W_OK | X_OK) != 0) {
+    const bool writable = (access(folder, W_OK | X_OK) == 0);
+    if (!writable) {
         node_log("%s: cannot be saved (%s); remedy: open the folder %s to this user; until then states are lost", path,
                  strerror(errno), folder);
     }
     struct stat other;
-    if (stat(path, &entry) != 0) {
-        return 1;
-    }
-    if ((stat(config, &other) == 0) && (entry.st_dev == other.st_dev) && (entry.st_ino == other.st_ino)) {
+    const bool there = (stat(path, &entry) == 0);
+    if (there && (stat(config, &other) == 0) && (entry.st_dev == other.st_dev) && (entry.st_ino == other.st_ino)) {
         return node_log("%s: %s; remedy: %s", path, reason_of(ZYGOS_E_KIND), remedy_of(ZYGOS_E_KIND)->config);
     }
-    if (!S_ISREG(entry.st_mode)) {
+    if (there && !S_ISREG(entry.st_mode)) {
         return node_log("%s: cannot be read (%s); remedy: name a file with --state", path,
                         S_ISDIR(entry.st_mode) ? strerror(EISDIR) : "Not a regular file");
     }
-    return 1;
+    self->lock = writable ? node_lock(path) : -1;
+    return (writable && (self->lock < 0)) ? -1 : 1;
 }
 
 /* A file that belongs to the state, in buffer[PATH_MAX]. */
@@ -258,7 +258,7 @@ static bool write_all(int fd, const void *bytes, size_t size)
 static bool sync_folder(const char *path)
 {
     char buffer[PATH_MAX];
-    const int fd = open(folder_of(path, buffer, sizeof buffer), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    const int fd = open(node_store_folder(path, buffer, sizeof buffer), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     const bool done = (fd >= 0) && (fsync(fd) == 0);
     if (fd >= 0) {
         (void)close(fd);
@@ -270,7 +270,9 @@ static bool write_snapshot(const char *path, const zygos_t *arm)
 {
     uint8_t head[ZYGOS_SNAPSHOT_HEAD];
     (void)zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, arm, head);
-    const int fd = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+    /* A file of its own: what stands there may be a pipe, or another name of a file of others. */
+    (void)unlink(path);
+    const int fd = open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0644);
     if (fd < 0) {
         return false;
     }

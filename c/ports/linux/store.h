@@ -9,6 +9,7 @@
 #define ZYGOS_NODE_STORE_H
 
 #include <stdbool.h>
+#include <stddef.h>
 
 #include "zygos/zygos.h"
 
@@ -16,6 +17,7 @@ typedef struct {
     const char *path; ///< FILE, or null where no state is kept.
     bool alone;       ///< The generation before could not be kept.
     bool good;        ///< FILE, if it is there, can be used.
+    int lock;         ///< Descriptor of the lock, or -1 where nothing can be saved.
     int failure;      ///< errno of the last save, 0 when it succeeded: the same failure is logged once.
     uint32_t failed;  ///< Saves that failed since the last that did not.
 } node_store_t;
@@ -23,9 +25,12 @@ typedef struct {
 /// Reads and checks a configuration. Returns 1, or -1 after logging the reason.
 int node_store_config(const char *path, zygos_config_t *config);
 
-/// Chooses the file of the state, or none (null). Returns 1, or -1 after logging why there can be no such file: its
-/// name is too long, its folder is not there, or it is a folder, a device, or the configuration. A folder that is not
-/// open for writing is complained of and accepted.
+/// The folder of a path, in a buffer of the caller's.
+const char *node_store_folder(const char *path, char *buffer, size_t size);
+
+/// Chooses the file of the state, or none (null), and locks it until the process ends. Returns 1, or -1 after logging
+/// why there can be no such file: its name is too long, its folder is not there, it is a folder, a device, or the
+/// configuration, or another node has it in use. A folder that is not open for writing is complained of and accepted.
 int node_store_open(node_store_t *self, const char *path, const char *config);
 
 /// Goes on from the newest generation that is whole, logs what is wrong with the others, and puts FILE aside when it

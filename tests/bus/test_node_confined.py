@@ -1,0 +1,188 @@
+"""zygos-node among other programs: it writes into no file but its own, shares its state with no other node, gives up
+its rights, and ends in order."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from node_support import Log, Node, build, saved
+
+from conftest import need
+
+NOBODY = 65534
+"""Number of a user and of a group without rights."""
+
+
+def named(state: Path, suffix: str) -> Path:
+    return state.with_name(state.name + suffix)
+
+
+def refused(node: Node) -> str:
+    """What a node says that does not start."""
+    try:
+        assert node.process.wait(20.0) == 2
+    finally:
+        node.__exit__()
+    assert "remedy: " in node.complaints
+    return node.complaints
+
+
+# ---------------------------------------------------------------- the file that is written
+
+
+@pytest.mark.parametrize("link", [os.symlink, os.link])
+def test_no_file_of_others_is_written(
+    link: Callable[[Path, Path], None], config: Path, frames: Log, syncs: Log, tmp_path: Path
+) -> None:
+    """A name for it stands where the node writes: the file stays, and the state is saved."""
+    state, victim = tmp_path / "state.zyg", tmp_path / "victim"
+    victim.write_text("of others")
+    link(victim, named(state, ".partial"))
+    with Node("--config", config, "--state", state) as node:
+        node.send(frames[: syncs[30]])
+        node.end()
+    assert victim.read_text() == "of others"
+    assert saved(state)
+    assert state.is_file()
+    assert not state.is_symlink()
+
+
+def test_a_pipe_where_it_writes_holds_nothing_up(config: Path, tmp_path: Path) -> None:
+    state = tmp_path / "state.zyg"
+    os.mkfifo(named(state, ".partial"))
+    with Node("--config", config, "--state", state) as node:
+        node.end()
+    assert saved(state)
+
+
+# ---------------------------------------------------------------- the lock
+
+
+def test_a_second_node_on_the_same_state_is_refused(config: Path, tmp_path: Path) -> None:
+    """Also under another path to the folder. The file of the lock stays, and locks nothing when its node has ended."""
+    state, folder = tmp_path / "states" / "state.zyg", tmp_path / "folder"
+    state.parent.mkdir()
+    folder.symlink_to(state.parent)
+    with Node("--config", config, "--state", state) as first:
+        for path in (state, folder / "state.zyg"):
+            said = refused(Node("--config", config, "--state", path))
+            assert said.startswith(f"zygos-node: {path}: another node has this state in use; remedy: ")
+        with Node("--config", config, "--state", tmp_path / "states" / "other.zyg") as second:
+            second.end()
+        assert first.process.poll() is None
+        first.process.kill()
+        first.process.wait()
+    assert named(state, ".lock").exists()
+    with Node("--config", config, "--state", state) as third:
+        assert third.complaints == ""
+        third.end()
+
+
+def test_what_stands_in_the_way_of_the_lock_is_said(config: Path, tmp_path: Path) -> None:
+    state, victim = tmp_path / "state.zyg", tmp_path / "victim"
+    named(state, ".lock").symlink_to(victim)
+    said = refused(Node("--config", config, "--state", state))
+    assert f"{state}.lock: cannot be locked (Too many levels of symbolic links); remedy: remove it" in said
+    assert not victim.exists()
+    named(state, ".lock").unlink()
+    os.mkfifo(named(state, ".lock"))
+    with Node("--config", config, "--state", state) as node:
+        node.end()
+
+
+# ---------------------------------------------------------------- signals
+
+
+def test_a_closed_terminal_ends_it_in_order(config: Path, frames: Log, syncs: Log, tmp_path: Path) -> None:
+    state = tmp_path / "state.zyg"
+    with Node("--config", config, "--state", state) as node:
+        node.send(frames[: syncs[30]])
+        node.process.send_signal(signal.SIGHUP)
+        code, counters, said = node.wait()
+    assert (code, counters["count_cycles"], said) == (0, 29, "")
+    assert saved(state)
+
+
+def test_a_closed_terminal_does_not_end_it_under_nohup(config: Path) -> None:
+    with Node("--config", config, through=("env", "--ignore-signal=HUP")) as node:
+        node.process.send_signal(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            node.process.wait(0.3)
+        node.end()
+
+
+# ---------------------------------------------------------------- the user
+
+
+@pytest.fixture
+def shared(config: Path) -> Iterator[Path]:
+    """A folder that every user can reach and that belongs to nobody, with the configuration."""
+    need(os.geteuid() == 0, "root, who may become another user")
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        folder = Path(name)
+        shutil.copy(config, folder / "arm.zyg")
+        folder.chmod(0o755)
+        os.chown(folder, NOBODY, NOBODY)
+        yield folder
+
+
+def rights(node: Node) -> dict[str, str]:
+    """What the kernel says of the rights of the running node."""
+    status = Path(f"/proc/{node.process.pid}/status").read_text()
+    return {name: " ".join(value.split()) for name, value in re.findall(r"^(\w+):(.*)$", status, re.M)}
+
+
+@pytest.mark.parametrize(
+    ("owner", "user", "becomes"),
+    [(NOBODY, (), NOBODY), (0, ("--user", "nobody"), NOBODY), (0, (), 0), (NOBODY, ("--user", "root"), 0)],
+)
+def test_root_gives_up_its_rights(owner: int, user: tuple[str, ...], becomes: int, shared: Path) -> None:
+    """It becomes the user that is asked for, otherwise the owner of the folder of the state; no capability is left."""
+    state = shared / "state.zyg"
+    os.chown(shared, owner, owner)
+    shared.chmod(0o777)
+    with Node("--config", shared / "arm.zyg", "--state", state, *user) as node:
+        found = rights(node)
+        assert node.complaints == ""
+        node.end()
+    assert found["Uid"].split() == found["Gid"].split() == 4 * [str(becomes)]
+    assert becomes == 0 or found["Groups"] == ""
+    assert {found[name] for name in ("CapInh", "CapPrm", "CapEff", "CapAmb")} == {"0000000000000000"}
+    assert found["NoNewPrivs"] == "1"
+    assert state.stat().st_uid == becomes
+
+
+def test_without_a_state_it_becomes_the_owner_of_the_configuration(shared: Path) -> None:
+    os.chown(shared / "arm.zyg", NOBODY, NOBODY)
+    with Node("--config", shared / "arm.zyg") as node:
+        assert rights(node)["Uid"].split() == 4 * [str(NOBODY)]
+        node.end()
+
+
+def test_a_configuration_that_the_user_cannot_read_again_is_complained_of(shared: Path) -> None:
+    (shared / "arm.zyg").chmod(0o600)
+    with Node("--config", shared / "arm.zyg", "--state", shared / "state.zyg") as node:
+        node.end()
+    assert node.complaints.startswith(f"zygos-node: {shared}/arm.zyg: user {NOBODY} cannot read it (Permission denied)")
+    assert "; remedy: " in node.complaints
+
+
+def test_a_user_that_it_cannot_become_is_refused(shared: Path) -> None:
+    config = ("--config", shared / "arm.zyg")
+    assert "--user nobody9: no such user; remedy: " in refused(Node(*config, "--user", "nobody9"))
+    setpriv = shutil.which("setpriv")
+    need(setpriv, "setpriv (util-linux)")
+    plain = (str(setpriv), f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
+    program = shutil.copy(build(), shared / "zygos-node")
+    said = refused(Node(*config, "--user", "root", through=plain, program=program))
+    assert "--user root: cannot be taken (Operation not permitted); remedy: start as root" in said
+    with Node(*config, "--user", "nobody", through=plain, program=program) as node:
+        node.end()
