@@ -8,7 +8,6 @@
 #include <string.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
-#include <unistd.h>
 
 #include "log.h"
 
@@ -110,18 +109,13 @@ int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_c
     return 1;
 }
 
+/* The socket keeps its buffer, for which a new one would need a privilege again; its filters went with the interface.
+ */
 void node_bus_again(node_bus_t *self, const zygos_config_t *config)
 {
-    if (self->fd >= 0) {
-        return;
-    }
-    const int fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW);
-    if ((fd >= 0) && prepare(fd, true, config) && bind_to(fd, self->interface)) {
-        self->fd = fd;
-        self->drops = 0; /* the kernel counts from 0 for this socket */
+    if (self->away && ask_for_frames(self->fd, config) && bind_to(self->fd, self->interface)) {
+        self->away = false;
         node_log("%s: is back", self->interface);
-    } else if (fd >= 0) {
-        (void)close(fd);
     }
 }
 
@@ -175,8 +169,7 @@ static int read_failed(node_bus_t *self)
         if (self->interface != NULL) {
             node_log("%s: was removed (%s), waits for it; remedy: see `ip link`, and set it up again", self->interface,
                      strerror(errno));
-            (void)close(self->fd);
-            self->fd = -1;
+            self->away = true;
             self->losses.down++;
             return NODE_EMPTY;
         }
@@ -202,9 +195,6 @@ int node_bus_read(node_bus_t *self, zygos_frame_t *frame, uint32_t *count)
         message[i].msg_hdr.msg_controllen = CONTROL;
     }
     *count = 0;
-    if (self->fd < 0) {
-        return NODE_EMPTY;
-    }
     const int got = recvmmsg(self->fd, message, NODE_BATCH, MSG_DONTWAIT, NULL);
     if (got < 0) {
         return read_failed(self);

@@ -14,8 +14,9 @@
 #define NODE_BATCH 64u
 
 typedef struct {
-    int fd;                ///< -1 while an interface is away.
+    int fd;
     const char *interface; ///< Null where the descriptor was given.
+    bool away;             ///< The interface was removed.
     bool stream_ends;      ///< An empty packet means that the other end is closed.
     uint32_t drops;        ///< What the kernel counted last.
     /// Overflow: frames that the kernel dropped because the receive buffer was full. Misshapen: packets that are no
@@ -34,7 +35,7 @@ enum node_reading {
 /// Returns 1, or -1 after logging the reason.
 int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_config_t *config);
 
-/// Opens an interface anew that was removed, if it is there again. Where nothing is missing it does nothing.
+/// Binds the socket to an interface that was removed, if it is there again. Where nothing is missing it does nothing.
 void node_bus_again(node_bus_t *self, const zygos_config_t *config);
 
 /// Reads what is waiting, without blocking, into frame[NODE_BATCH]; *count is their number. Returns enum node_reading.
