@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library install install-node uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -86,10 +86,17 @@ install: $(LIBRARY) $(PACKAGES:%=$(BUILD)/%) ## library, headers, DBC, pkg-confi
 	install -m 644 $(BUILD)/zygos.pc "$$TO/lib/pkgconfig"
 	install -m 644 $(BUILD)/zygosConfig.cmake $(BUILD)/zygosConfigVersion.cmake "$$TO/lib/cmake/zygos"
 
+UNIT := zygos-node@.service
+install-node: export TO = $(DESTDIR)$(PREFIX)
+install-node: $(NODE) ## zygos-node and its unit for systemd (PREFIX=/usr/local DESTDIR=)
+	install -d "$$TO/bin" "$$TO/lib/systemd/system"
+	install -m 755 $(NODE) "$$TO/bin"
+	sed 's|/usr/local|$(PREFIX)|' c/ports/linux/$(UNIT) >"$$TO/lib/systemd/system/$(UNIT)"
+
 uninstall: export TO = $(DESTDIR)$(PREFIX)
-uninstall: ## remove what install put there (same PREFIX and DESTDIR)
+uninstall: ## remove what install and install-node put there (same PREFIX and DESTDIR)
 	cd "$$TO" && rm -f $(HEADERS:%=include/zygos/%) $(DATABASES:%=share/zygos/%) lib/libzygos.a lib/pkgconfig/zygos.pc \
-		lib/cmake/zygos/zygosConfig.cmake lib/cmake/zygos/zygosConfigVersion.cmake
+		bin/zygos-node lib/systemd/system/$(UNIT) lib/cmake/zygos/zygosConfig.cmake lib/cmake/zygos/zygosConfigVersion.cmake
 	cd "$$TO" && for folder in include/zygos share/zygos lib/cmake/zygos; do rmdir $$folder 2>/dev/null || true; done
 
 node: $(NODE) ## build build/zygos-node, the flight node for SocketCAN (docs/node.md)

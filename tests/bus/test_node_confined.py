@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from node_support import Log, Node, build, saved
 
-from conftest import need
+from conftest import ROOT, need
 
 NOBODY = 65534
 """Number of a user and of a group without rights."""
@@ -160,6 +160,18 @@ def test_root_gives_up_its_rights(owner: int, user: tuple[str, ...], becomes: in
     assert state.stat().st_uid == becomes
 
 
+def test_a_capability_that_a_supervisor_gives_is_given_up(shared: Path) -> None:
+    """As the unit for systemd does, for the buffer of the socket."""
+    setpriv = shutil.which("setpriv")
+    need(setpriv, "setpriv (util-linux)")
+    some = ("--inh-caps=+net_admin", "--ambient-caps=+net_admin")
+    user = (str(setpriv), f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", *some)
+    program = shutil.copy(build(), shared / "zygos-node")
+    with Node("--config", shared / "arm.zyg", through=user, program=program) as node:
+        assert {rights(node)[name] for name in ("CapInh", "CapPrm", "CapEff", "CapAmb")} == {"0000000000000000"}
+        node.end()
+
+
 def test_without_a_state_it_becomes_the_owner_of_the_configuration(shared: Path) -> None:
     os.chown(shared / "arm.zyg", NOBODY, NOBODY)
     with Node("--config", shared / "arm.zyg") as node:
@@ -186,3 +198,33 @@ def test_a_user_that_it_cannot_become_is_refused(shared: Path) -> None:
     assert "--user root: cannot be taken (Operation not permitted); remedy: start as root" in said
     with Node(*config, "--user", "nobody", through=plain, program=program) as node:
         node.end()
+
+
+# ---------------------------------------------------------------- the service
+
+
+def test_it_is_installed_as_a_service(tmp_path: Path) -> None:
+    """Program and unit, with the path of the program and with options that it has. The unit gives no right that the
+    node does not need; systemd, where it is there, knows all keys and rates it."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    words = ["make", "--silent", f"PREFIX={tmp_path}", f"BUILD={build().parent}"]
+    subprocess.run([*words, "install-node"], cwd=ROOT, env=environment, check=True)
+    (path,) = tmp_path.glob("lib/systemd/system/*")
+    lines = [line.partition("=") for line in path.read_text().splitlines() if "=" in line and not line.startswith("#")]
+    unit = {key: value for key, _, value in lines}
+    command = unit["ExecStart"].split()
+    said = subprocess.run([command[0], "--help"], capture_output=True, text=True, check=True).stdout
+    assert command[0] == str(tmp_path / "bin" / "zygos-node")
+    assert all(word in said for word in command if word.startswith("-"))
+    assert unit["DynamicUser"] == unit["NoNewPrivileges"] == unit["PrivateDevices"] == "yes"
+    assert unit["ProtectSystem"] == "strict"
+    assert unit["CapabilityBoundingSet"] == unit["AmbientCapabilities"] == "CAP_NET_ADMIN"
+    assert unit["RestrictAddressFamilies"] == "AF_CAN AF_UNIX"
+    assert command[command.index("--state") + 1].startswith(f"/var/lib/{unit['StateDirectory']}/")
+    systemd = shutil.which("systemd-analyze")
+    for asked in ([["verify"], ["security", "--offline=true", "--threshold=20"]] if systemd else []):
+        done = subprocess.run([str(systemd), *asked, path], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert path.name not in done.stderr, done.stderr
+    subprocess.run([*words, "uninstall"], cwd=ROOT, env=environment, check=True)
+    assert not [left for left in tmp_path.rglob("*") if left.is_file()]
