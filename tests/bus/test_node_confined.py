@@ -19,6 +19,8 @@ from conftest import ROOT, need
 
 NOBODY = 65534
 """Number of a user and of a group without rights."""
+PLAIN = (f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
+"""Options of setpriv, for that user."""
 
 
 def named(state: Path, suffix: str) -> Path:
@@ -122,6 +124,13 @@ def test_a_closed_terminal_does_not_end_it_under_nohup(config: Path) -> None:
 # ---------------------------------------------------------------- the user
 
 
+def setpriv(*words: str) -> tuple[str, ...]:
+    """A command that starts another one with these rights."""
+    found = shutil.which("setpriv")
+    need(found, "setpriv (util-linux)")
+    return (str(found), *words)
+
+
 @pytest.fixture
 def shared(config: Path) -> Iterator[Path]:
     """A folder that every user can reach and that belongs to nobody, with the configuration."""
@@ -149,7 +158,7 @@ def test_root_gives_up_its_rights(owner: int, user: tuple[str, ...], becomes: in
     state = shared / "state.zyg"
     os.chown(shared, owner, owner)
     shared.chmod(0o777)
-    with Node("--config", shared / "arm.zyg", "--state", state, *user) as node:
+    with Node("--config", shared / "arm.zyg", "--state", state, *user, through=setpriv("--groups=0,1")) as node:
         found = rights(node)
         assert node.complaints == ""
         node.end()
@@ -162,10 +171,7 @@ def test_root_gives_up_its_rights(owner: int, user: tuple[str, ...], becomes: in
 
 def test_a_capability_that_a_supervisor_gives_is_given_up(shared: Path) -> None:
     """As the unit for systemd does, for the buffer of the socket."""
-    setpriv = shutil.which("setpriv")
-    need(setpriv, "setpriv (util-linux)")
-    some = ("--inh-caps=+net_admin", "--ambient-caps=+net_admin")
-    user = (str(setpriv), f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", *some)
+    user = setpriv(*PLAIN, "--inh-caps=+net_admin", "--ambient-caps=+net_admin")
     program = shutil.copy(build(), shared / "zygos-node")
     with Node("--config", shared / "arm.zyg", through=user, program=program) as node:
         assert {rights(node)[name] for name in ("CapInh", "CapPrm", "CapEff", "CapAmb")} == {"0000000000000000"}
@@ -190,9 +196,7 @@ def test_a_configuration_that_the_user_cannot_read_again_is_complained_of(shared
 def test_a_user_that_it_cannot_become_is_refused(shared: Path) -> None:
     config = ("--config", shared / "arm.zyg")
     assert "--user nobody9: no such user; remedy: " in refused(Node(*config, "--user", "nobody9"))
-    setpriv = shutil.which("setpriv")
-    need(setpriv, "setpriv (util-linux)")
-    plain = (str(setpriv), f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
+    plain = setpriv(*PLAIN)
     program = shutil.copy(build(), shared / "zygos-node")
     said = refused(Node(*config, "--user", "root", through=plain, program=program))
     assert "--user root: cannot be taken (Operation not permitted); remedy: start as root" in said
@@ -220,9 +224,11 @@ def test_it_is_installed_as_a_service(tmp_path: Path) -> None:
     assert unit["ProtectSystem"] == "strict"
     assert unit["CapabilityBoundingSet"] == unit["AmbientCapabilities"] == "CAP_NET_ADMIN"
     assert unit["RestrictAddressFamilies"] == "AF_CAN AF_UNIX"
+    filters = [value for key, _, value in lines if key == "SystemCallFilter"]
+    assert filters == ["@system-service", "~@privileged @resources", "capset"]
     assert command[command.index("--state") + 1].startswith(f"/var/lib/{unit['StateDirectory']}/")
     systemd = shutil.which("systemd-analyze")
-    for asked in ([["verify"], ["security", "--offline=true", "--threshold=20"]] if systemd else []):
+    for asked in [["verify"], ["security", "--offline=true", "--threshold=20"]] if systemd else []:
         done = subprocess.run([str(systemd), *asked, path], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         assert path.name not in done.stderr, done.stderr
