@@ -164,6 +164,16 @@ def test_each_header_stands_alone(header: Path, tmp_path: Path) -> None:
     run([tool("g++"), "-std=c++17", "-x", "c++", *warnings, INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
 
 
+@pytest.mark.slow(but=["11", "20"])
+@pytest.mark.parametrize("standard", ["11", "14", "17", "20"])
+def test_the_headers_are_sound_in_every_cpp(standard: str, tmp_path: Path) -> None:
+    unit = tmp_path / "unit.cpp"
+    unit.write_text("".join(f'#include "zygos/{header.name}"\n' for header in HEADERS))
+    for compiler in ("g++", "clang++"):
+        command = [tool(compiler), f"-std=c++{standard}", "-Wall", "-Wextra", "-pedantic", "-Werror", INCLUDE]
+        run([*command, "-fsyntax-only", str(unit)], tmp_path)
+
+
 @pytest.mark.slow(but=["gcc"])
 @pytest.mark.parametrize("target", ["gcc", "m7", "spatial-m7"])
 def test_stack_is_bounded_and_nothing_recurses(target: str) -> None:

@@ -16,7 +16,7 @@ import cantools
 import cli_support
 import numpy as np
 import pytest
-from build_support import ONBOARD, ROOT, flags_of, onboard, run, tool
+from build_support import ONBOARD, ROOT, emulated, flags_of, onboard, run, tool
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
@@ -135,6 +135,18 @@ def test_a_big_endian_leon3_gives_the_same_bits(program: Path, frames: NDArray[A
     assert run([qemu, str(leon3), str(log), str(big)], tmp_path) == text
     assert run([str(program), str(log), str(little)], tmp_path) == run([qemu, str(leon3), str(log), str(big)], tmp_path)
     assert run([str(program), str(log), str(big)], tmp_path).startswith("started")
+
+
+@pytest.mark.slow
+def test_an_aarch64_gives_the_same_bits(program: Path, frames: NDArray[Any], arm: Arm, tmp_path: Path) -> None:
+    """flight.c and the library in QEMU's user mode: the same text and the same stored state, from which both go on."""
+    words = [*emulated(), str(onboard("aarch64") / "onboard"), str(log_of(frames, arm, tmp_path))]
+    here, there = tmp_path / "here", tmp_path / "there"
+    for begin in ("started", "resumed"):
+        text = run([str(program), words[-1], str(here)], tmp_path)
+        assert text.startswith(begin)
+        assert run([*words, str(there)], tmp_path) == text
+        assert there.read_bytes() == here.read_bytes()
 
 
 def test_a_payload_starts_the_bodies_anew(program: Path, frames: NDArray[Any], arm: Arm, tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ TARGETS = {
     "m7": ("arm-none-eabi-gcc", "TARGET=m7"),
     "m4f": ("arm-none-eabi-gcc", "TARGET=m4f"),
     "leon3": ("sparc64-linux-gnu-gcc", "TARGET=leon3"),
+    "aarch64": ("aarch64-linux-gnu-gcc", "CC=aarch64-linux-gnu-gcc"),
 }
 """A compiler, and what the Makefile of examples/onboard is told so that it takes it."""
 PLANAR = "-DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0 -DZYGOS_MOMENTUM=0"
@@ -123,6 +124,12 @@ def onboard(target: str = "gcc") -> Path:
         run([tool("make"), "-s", "-j2", f"BUILD={folder}", *words], ONBOARD)
 
     return kept(build, "onboard", *words)
+
+
+def emulated(*words: str) -> list[str]:
+    """A command that runs a program for aarch64, whose words follow."""
+    tool("aarch64-linux-gnu-gcc")
+    return [tool("qemu-aarch64"), "-L", "/usr/aarch64-linux-gnu", *words]
 
 
 def flags_of(target: str) -> str:
