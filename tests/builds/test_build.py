@@ -164,7 +164,6 @@ def test_each_header_stands_alone(header: Path, tmp_path: Path) -> None:
     run([tool("g++"), "-std=c++17", "-x", "c++", *warnings, INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
 
 
-@pytest.mark.slow(but=["11", "20"])
 @pytest.mark.parametrize("standard", ["11", "14", "17", "20"])
 def test_the_headers_are_sound_in_every_cpp(standard: str, tmp_path: Path) -> None:
     unit = tmp_path / "unit.cpp"
