@@ -63,7 +63,7 @@ static uint64_t checksum_of(const zygos_accumulator_t *self)
 static void reseal(zygos_accumulator_t *self)
 {
     self->checksum = checksum_of(self);
-    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
+    self->twin = zygos_accumulator_twin(self);
 }
 
 /* Flips a bit back where that explains the checksum. */
@@ -308,7 +308,7 @@ static void begin_task(zygos_accumulator_t *self, uint32_t task, uint32_t places
     self->task = task;
     self->places = places;
     self->row = 0;
-    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
+    self->twin = zygos_accumulator_twin(self);
 }
 
 /* Whether the rows from first to before end of the task are all of its rows; then it has ended. */
@@ -989,7 +989,7 @@ static void next_buffer(zygos_accumulator_t *self)
     self->filling = (self->filling + 1u) % ZYGOS_ROW_BUFFERS;
     self->filled = 0;
     add_slices(self, &self->buffer[self->filling], left_of(&self->buffer[self->filling])); /* none, as a rule */
-    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
+    self->twin = zygos_accumulator_twin(self);
 }
 
 void zygos_accumulator_flush(zygos_accumulator_t *self)
@@ -1329,7 +1329,7 @@ bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t paramete
     const bool is_open = (self->count > self->fresh);
     bool good = (parameters <= (uint32_t)ZYGOS_MAX_PARAMETERS) && (self->width == parameters + 2u) &&
                 are_places_possible(self) && zygos_accumulator_steady(self) &&
-                (self->twin == ZYGOS_ACCUMULATOR_TWIN(self)) && is_count(self->segment) &&
+                (self->twin == zygos_accumulator_twin(self)) && is_count(self->segment) &&
                 (is_open || !(self->segment > 0.0)) && (self->target >= 1.0) && is_count(self->target) &&
                 (!is_open || ((self->length >= 1.0) && is_count(self->length))) && is_factor(self->noise_fade) &&
                 (self->noise_fade > 0.0) && (self->rank >= self->open || self->fresh == self->open) &&
@@ -1415,7 +1415,7 @@ bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
     }
     self->corrupt = 0;
     bool whole = !zygos_accumulator_closing(self) && (self->task == ZYGOS_TASK_NONE) &&
-                 (self->twin == ZYGOS_ACCUMULATOR_TWIN(self));
+                 (self->twin == zygos_accumulator_twin(self));
     for (uint32_t r = 0; whole && (r < self->open); r++) {
         whole = is_block_whole(zygos_accumulator_at(self, r), self->width);
     }
@@ -1442,7 +1442,7 @@ bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
     if (!whole) {
         quarantine(self);
     }
-    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
+    self->twin = zygos_accumulator_twin(self);
     return true;
 }
 

@@ -36,6 +36,25 @@ static uint32_t behind(uint32_t place)
     return (place == ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
 }
 
+/* A reading for the exclusive or of all, whatever their order, turned by a place of its own (1..63) so that the same
+   bit of two does not cancel. */
+static uint64_t turned(double reading, uint32_t place)
+{
+    const uint64_t bits = zygos_bits_of(reading);
+    return (bits << place) | (bits >> (64u - place));
+}
+
+static uint64_t turned_joint(double reading, uint32_t kind, uint32_t joint)
+{
+    return turned(reading, 4u + 3u * joint + kind);
+}
+
+/* Of what is known when a cycle is complete. */
+static uint64_t fold_of_head(const zygos_cycle_t *cycle)
+{
+    return cycle->sync ^ ((uint64_t)cycle->flags << 32u);
+}
+
 const zygos_cycle_t *zygos_receiver_front(const zygos_receiver_t *self)
 {
     const zygos_queue_t *queue = &self->queue;
@@ -46,12 +65,13 @@ const zygos_cycle_t *zygos_receiver_front(const zygos_receiver_t *self)
 bool zygos_receiver_front_is_whole(const zygos_receiver_t *self, const zygos_config_t *config)
 {
     const zygos_cycle_t *cycle = &self->queue.slot[self->queue.tail];
-    uint64_t fold = cycle->sync ^ cycle->flags;
+    uint64_t fold = fold_of_head(cycle);
     for (uint32_t i = 0; i < config->joints; i++) {
-        fold ^= zygos_bits_of(cycle->q[i]) ^ zygos_bits_of(cycle->theta[i]) ^ zygos_bits_of(cycle->tau[i]);
+        fold ^=
+            turned_joint(cycle->q[i], 0, i) ^ turned_joint(cycle->theta[i], 1, i) ^ turned_joint(cycle->tau[i], 2, i);
     }
     for (uint32_t i = 0; (i < 3u) && (config->imu_node != 0); i++) {
-        fold ^= zygos_bits_of(cycle->omega[i]);
+        fold ^= turned(cycle->omega[i], 1u + i);
     }
     return fold == self->queue.fold[self->queue.tail];
 }
@@ -84,11 +104,17 @@ static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
     return &self->queue.slot[(head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u];
 }
 
-/* Stores a reading of the open cycle. */
-static void store(zygos_receiver_t *self, double *place, double reading)
+/* Stores a reading of a joint, and a rate of the gyro, of the open cycle. */
+static void store_joint(zygos_receiver_t *self, double *reading, uint32_t kind, uint32_t joint, double value)
 {
-    *place = reading;
-    self->assembly.fold ^= zygos_bits_of(reading);
+    reading[joint] = value;
+    self->assembly.fold ^= turned_joint(value, kind, joint);
+}
+
+static void store_rate(zygos_receiver_t *self, uint32_t axis, double rate)
+{
+    open_cycle(self)->omega[axis] = rate;
+    self->assembly.fold ^= turned(rate, 1u + axis);
 }
 
 static void push(zygos_receiver_t *self)
@@ -124,7 +150,7 @@ static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
         zygos_cycle_t *cycle = open_cycle(self);
         cycle->sync = a->sync;
         cycle->flags = a->broken | void_cycles(a);
-        self->queue.fold[cycle - self->queue.slot] = a->fold ^ cycle->sync ^ cycle->flags;
+        self->queue.fold[cycle - self->queue.slot] = a->fold ^ fold_of_head(cycle);
         push(self);
         return;
     }
@@ -289,8 +315,8 @@ static uint32_t *take_angles(zygos_receiver_t *self, const zygos_config_t *confi
         return &self->faults.motor_invalid;
     }
     zygos_cycle_t *cycle = open_cycle(self);
-    store(self, &cycle->q[joint], link * ZYGOS_ANGLE_UNIT);
-    store(self, &cycle->theta[joint], motor * ZYGOS_ANGLE_UNIT);
+    store_joint(self, cycle->q, 0, joint, link * ZYGOS_ANGLE_UNIT);
+    store_joint(self, cycle->theta, 1, joint, motor * ZYGOS_ANGLE_UNIT);
     return NULL;
 }
 
@@ -308,13 +334,12 @@ static uint32_t *take_torque(zygos_receiver_t *self, const zygos_config_t *confi
     if ((latch_error > LATCH_TOLERANCE_US) || (latch_error < -LATCH_TOLERANCE_US)) {
         return &self->faults.latch;
     }
-    store(self, &open_cycle(self)->tau[joint], torque / ZYGOS_TORQUE_CODES);
+    store_joint(self, open_cycle(self)->tau, 2, joint, torque / ZYGOS_TORQUE_CODES);
     return NULL;
 }
 
 static uint32_t *take_rates(zygos_receiver_t *self, uint32_t message, const uint8_t *data)
 {
-    double *omega = open_cycle(self)->omega;
     const int32_t first = zygos_wire_i24(data + 2);
     const int32_t second = (message == ZYGOS_MSG_RATE_XY) ? zygos_wire_i24(data + 5) : 0;
     if (!(STATUS(data) & ZYGOS_STATUS_RATE_VALID)) {
@@ -325,10 +350,10 @@ static uint32_t *take_rates(zygos_receiver_t *self, uint32_t message, const uint
         return &self->faults.saturated;
     }
     if (message == ZYGOS_MSG_RATE_XY) {
-        store(self, &omega[0], first / ZYGOS_RATE_FINE_CODES);
-        store(self, &omega[1], second / ZYGOS_RATE_FINE_CODES);
+        store_rate(self, 0, first / ZYGOS_RATE_FINE_CODES);
+        store_rate(self, 1, second / ZYGOS_RATE_FINE_CODES);
     } else {
-        store(self, &omega[2], first / ZYGOS_RATE_FINE_CODES);
+        store_rate(self, 2, first / ZYGOS_RATE_FINE_CODES);
     }
     return NULL;
 }
@@ -345,7 +370,7 @@ static uint32_t *take_coarse_rates(zygos_receiver_t *self, const uint8_t *data)
         }
     }
     for (uint32_t i = 0; i < 3; i++) {
-        store(self, &open_cycle(self)->omega[i], zygos_wire_i16(data + 2u + 2u * i) / ZYGOS_RATE_COARSE_CODES);
+        store_rate(self, i, zygos_wire_i16(data + 2u + 2u * i) / ZYGOS_RATE_COARSE_CODES);
     }
     return NULL;
 }

@@ -122,10 +122,13 @@ double zygos_gram_check(const double *gram, uint32_t width, const double *sum, d
     return zygos_gram_scanned(&scan, gram, width, sum, adds);
 }
 
-/* The factor is odd, so that two checksums never become equal. */
+/* The factor is odd, so that two checksums never become equal. A product keeps the top bit to itself, and that of two
+   words would cancel: the upper half is added to the lower one. A flipped bit of a word then changes two bits of the
+   checksum or more, by which it differs from one of the checksum itself. */
 static uint64_t continued(uint64_t checksum, uint64_t number)
 {
-    return (checksum ^ number) * 0x100000001B3u;
+    const uint64_t product = (checksum ^ number) * 0x100000001B3u;
+    return product ^ (product >> 32u);
 }
 
 uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number)
@@ -163,18 +166,26 @@ uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t b
     return checksum;
 }
 
+uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes)
+{
+    const unsigned char *from = (const unsigned char *)memory;
+    fold = continued(fold, bytes);
+    for (const unsigned char *end = from + bytes; from != end; from += 8) {
+        uint64_t word;
+        __builtin_memcpy(&word, from, sizeof word);
+        fold = zygos_folded(fold, word);
+    }
+    return fold;
+}
+
 bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum)
 {
-    const uint64_t top = (uint64_t)1 << 63u;
     const uint64_t off = checksum ^ zygos_checksum_words(0, word, n);
-    if ((off & (off - 1u)) == 0) { /* it matches, the flipped bit is its own, or it is the top bit of a word */
-        for (uint32_t i = 0; i < n; i++) {
-            word[i] &= ~top;
-        }
+    if ((off & (off - 1u)) == 0) { /* it matches, or the flipped bit is its own */
         return true;
     }
     for (uint32_t i = 0; i < n; i++) {
-        for (uint32_t bit = 0; bit < 63u; bit++) {
+        for (uint32_t bit = 0; bit < 64u; bit++) {
             word[i] ^= (uint64_t)1 << bit;
             if (zygos_checksum_words(0, word, n) == checksum) {
                 return true;

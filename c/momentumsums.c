@@ -31,7 +31,7 @@ static uint64_t checksum_of_block(const zygos_momentum_block_t *block)
 static void reseal(zygos_momentum_sums_t *self)
 {
     self->checksum = checksum_of(self);
-    self->twin = ZYGOS_MOMENTUM_TWIN(self);
+    self->twin = zygos_momentum_sums_twin(self);
 }
 
 /* Flips a bit back where that explains the checksum. */
@@ -127,7 +127,7 @@ static void leave_closing_out(zygos_momentum_sums_t *self)
 {
     clear_gram(&ZYGOS_MOMENTUM_NOISE_CLOSING(self), self->columns);
     self->closing_cycles = 0;
-    self->twin = ZYGOS_MOMENTUM_TWIN(self);
+    self->twin = zygos_momentum_sums_twin(self);
     begin_task(self, ZYGOS_MOMENTUM_NONE);
 }
 
@@ -197,7 +197,8 @@ bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
     return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) &&
            (self->row <= width_of(self)) && (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
            (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
-           (is_of_closing_arc(self->task) == (self->closing_cycles > 0)) && (self->twin == ZYGOS_MOMENTUM_TWIN(self));
+           (is_of_closing_arc(self->task) == (self->closing_cycles > 0)) &&
+           (self->twin == zygos_momentum_sums_twin(self));
 }
 
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
@@ -288,7 +289,7 @@ bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, uint64_t cycle)
     self->arc.instants = 0.0;
     self->parity ^= 1u;
     self->closing_cycles = self->cycles;
-    self->twin = ZYGOS_MOMENTUM_TWIN(self);
+    self->twin = zygos_momentum_sums_twin(self);
     self->cycles = 0;
     self->admitted = 0;
     memset(&self->scan, 0, sizeof self->scan);
@@ -677,7 +678,7 @@ bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
         (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || !is_factor(self->noise_fade) || !(self->noise_fade > 0.0)) {
         return false;
     }
-    const bool moved = (self->twin != ZYGOS_MOMENTUM_TWIN(self)); /* the noise may be that of the other arc */
+    const bool moved = (self->twin != zygos_momentum_sums_twin(self)); /* the noise may be that of the other arc */
     const bool closing = moved || (self->task != (uint32_t)ZYGOS_MOMENTUM_NONE) || (self->closing_cycles > 0);
     if (closing || (self->row != 0)) {
         self->quarantined += closing ? 1u : 0u;

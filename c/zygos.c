@@ -125,8 +125,11 @@ static bool arcs_fit(const zygos_config_t *config)
            ((momentum == 0) || ((ZYGOS_MOMENTUM != 0) && (momentum >= shortest)));
 }
 
-static int check_config(const zygos_config_t *config)
+int zygos_config_check(const zygos_config_t *config)
 {
+    if (config == NULL) {
+        return ZYGOS_E_NULL;
+    }
     if (config->abi != ZYGOS_ABI) {
         return ZYGOS_E_ABI;
     }
@@ -205,26 +208,37 @@ static uint32_t least(uint32_t a, uint32_t b)
 }
 
 /* The part of places_of() that many configurations do not have. */
-static uint32_t further_places_of(const zygos_t *self)
+static uint64_t further_places_of(const zygos_t *self, uint64_t fold)
 {
     const zygos_config_t *config = &self->config;
-    uint32_t fold = config->effects ^ config->reductions ^ config->reduced ^ self->column_map.reduced ^
-                    config->momentum_arc_cycles ^ config->joint_row_cycles;
+    const uint32_t lengths[6] = { config->effects,          config->reductions,          config->reduced,
+                                  self->column_map.reduced, config->momentum_arc_cycles, config->joint_row_cycles };
+    for (uint32_t k = 0; k < 6u; k++) {
+        fold = zygos_folded(fold, lengths[k]);
+    }
     if (config->momentum_arc_cycles > 0) {
-        fold ^= self->momentum_sums.columns ^ self->momentum_sums.components ^ self->momentum_sums.signals;
+        fold = zygos_folded(fold, self->momentum_sums.columns);
+        fold = zygos_folded(fold, self->momentum_sums.components);
+        fold = zygos_folded(fold, self->momentum_sums.signals);
     }
     if (config->joint_row_cycles > 0) {
-        fold ^= config->base ^ config->kinetic ^ self->joint_sums.width ^ self->joint_sums.increments ^
-                self->joint_sums.slice ^ self->joint_sums.share;
+        const uint32_t rows[6] = { config->base,           config->kinetic,
+                                   self->joint_sums.width, self->joint_sums.increments,
+                                   self->joint_sums.slice, self->joint_sums.share };
+        for (uint32_t k = 0; k < 6u; k++) {
+            fold = zygos_folded(fold, rows[k]);
+        }
     }
     for (uint32_t e = 0; e < least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
-        fold ^= config->effect[e].kind ^ config->effect[e].joint;
+        fold = zygos_checksum_number(fold, config->effect[e].kind);
+        fold = zygos_folded(fold, config->effect[e].joint);
         for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-            fold ^= self->motor_sums.column_map.effect[i][e];
+            fold = zygos_folded(fold, self->motor_sums.column_map.effect[i][e]);
         }
     }
     for (uint32_t k = 0; k < least(config->reductions, (uint32_t)ZYGOS_MAX_REDUCTION); k++) {
-        fold ^= config->reduction[k].column ^ config->reduction[k].parameter;
+        const uint64_t column = config->reduction[k].column;
+        fold = zygos_checksum_number(fold, (column << 32u) | config->reduction[k].parameter);
     }
     return fold;
 }
@@ -236,26 +250,34 @@ static inline uint32_t places_of(const zygos_t *self)
     const zygos_column_map_t *map = &self->column_map;
     const uint32_t further =
         config->momentum_arc_cycles | config->joint_row_cycles | config->effects | config->reductions;
-    uint32_t fold = config->joints ^ config->torque_law ^ config->smoother_half_width ^ map->kinetic ^ map->body ^
-                    map->effects ^ map->count ^ map->parameters ^ self->smoother.joints ^ self->smoother.window ^
-                    self->accumulator.width;
+    const uint32_t lengths[11] = { config->joints,
+                                   config->torque_law,
+                                   config->smoother_half_width,
+                                   map->kinetic,
+                                   map->body,
+                                   map->effects,
+                                   map->count,
+                                   map->parameters,
+                                   self->smoother.joints,
+                                   self->smoother.window,
+                                   self->accumulator.width };
+    uint64_t fold = 0;
+    for (uint32_t k = 0; k < 11u; k++) {
+        fold = zygos_folded(fold, lengths[k]);
+    }
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-        fold ^= map->joint[i] ^ map->rotor[i] ^ self->motor_sums.column_map.count[i];
+        fold = zygos_folded(fold, map->joint[i]);
+        fold = zygos_folded(fold, map->rotor[i]);
+        fold = zygos_folded(fold, self->motor_sums.column_map.count[i]);
     }
-    return (further != 0) ? fold ^ further_places_of(self) : fold;
+    fold = (further != 0) ? further_places_of(self, fold) : fold;
+    return (uint32_t)((fold * 0x9E3779B97F4A7C15u) >> 32u); /* each bit of the fold changes the upper half */
 }
 
-static uint64_t folded(uint64_t fold, const double *x, uint32_t n)
-{
-    for (uint32_t i = 0; i < n; i++) {
-        fold ^= zygos_bits_of(x[i]);
-    }
-    return fold;
-}
-
-/* Members of one kind that lie side by side, in doubles, with those of joints that the arm does not have. */
-#define FROM_TO(type, first, last)                                                                                     \
-    ((uint32_t)((offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first)) / sizeof(double)))
+/* Continues a fold with the members of a struct from the first to the last of these, with what lies between. */
+#define FOLDED(fold, whole, type, first, last)                                                                         \
+    zygos_fold_memory(fold, (const unsigned char *)(whole) + offsetof(type, first),                                    \
+                      (uint32_t)(offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first)))
 
 /* Of the places, counts and integrals that one cycle leaves to the next. A bit that flips there would spoil the rest of
    an arc. */
@@ -264,28 +286,40 @@ static uint64_t moving_of(const zygos_t *self)
     const zygos_config_t *config = &self->config;
     const zygos_balance_t *balance = &self->balance;
     const zygos_impulse_t *impulse = &self->impulse;
-    const uint32_t counts = self->arc ^ self->ending ^ self->smoother.position ^ self->smoother.filled ^
-                            balance->instants ^ balance->origin ^ balance->torque_at ^ impulse->instants ^
-                            impulse->origin ^ self->momentum.instants ^ self->momentum.origin ^
-                            self->motor_sums.cycles ^ self->momentum_sums.cycles;
-    uint64_t fold = folded(counts, &balance->work, FROM_TO(zygos_balance_t, work, dissipation_rate));
-    fold = folded(fold, self->previous.reported, FROM_TO(zygos_previous_cycle_t, reported, theta));
-    fold = folded(fold, &self->accumulator.length, FROM_TO(zygos_accumulator_t, length, segment));
+    const uint32_t counts[14] = { self->arc,
+                                  self->ending,
+                                  self->smoother.position,
+                                  self->smoother.filled,
+                                  balance->instants,
+                                  balance->origin,
+                                  balance->torque_at,
+                                  impulse->instants,
+                                  impulse->origin,
+                                  self->momentum.instants,
+                                  self->momentum.origin,
+                                  self->motor_sums.cycles,
+                                  self->momentum_sums.cycles,
+                                  0u };
+    uint64_t fold = 0;
+    for (uint32_t k = 0; k < 14u; k += 2u) {
+        fold = zygos_folded(fold, ((uint64_t)counts[k] << 32u) | counts[k + 1u]);
+    }
+    fold = FOLDED(fold, balance, zygos_balance_t, work, dissipation_rate);
+    fold = FOLDED(fold, &self->previous, zygos_previous_cycle_t, reported, theta);
+    fold = FOLDED(fold, &self->accumulator, zygos_accumulator_t, length, segment);
     if (config->impulse_arc_cycles > 0) {
-        fold = folded(fold, impulse->impulse, FROM_TO(zygos_impulse_t, impulse, past));
+        fold = FOLDED(fold, impulse, zygos_impulse_t, impulse, past);
     }
     if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
-        fold = folded(fold, self->momentum.attitude, FROM_TO(zygos_momentum_t, attitude, past));
+        fold = FOLDED(fold, &self->momentum, zygos_momentum_t, attitude, past);
     }
     if (config->effects > 0) {
-        fold = folded(fold, balance->effects.total, FROM_TO(zygos_effects_t, total, past));
-        fold = folded(fold, impulse->total, FROM_TO(zygos_impulse_t, total, before));
+        fold = FOLDED(fold, &balance->effects, zygos_effects_t, total, past);
+        fold = FOLDED(fold, impulse, zygos_impulse_t, total, before);
     }
     if (self->ending != 0) {
-        for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-            fold ^= self->ended[kind];
-        }
-        fold = folded(fold, self->ended_forgetting, (uint32_t)ZYGOS_KINDS_OF_ROWS);
+        fold = zygos_fold_memory(fold, self->ended, sizeof self->ended);
+        fold = zygos_fold_memory(fold, self->ended_forgetting, sizeof self->ended_forgetting);
     }
     return fold;
 }
@@ -296,7 +330,7 @@ static bool is_steady(const zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
     const zygos_accumulator_t *sums = &self->accumulator;
-    const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums));
+    const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ zygos_accumulator_twin(sums));
     return (off == 0) && (self->moving == moving_of(self)) && zygos_accumulator_steady(sums) &&
            zygos_momentum_sums_steady(&self->momentum_sums) && zygos_motor_sums_steady(&self->motor_sums) &&
            (self->smoother.position < self->smoother.window) &&
@@ -355,7 +389,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     if (!is_ieee()) {
         return ZYGOS_E_ARITHMETIC;
     }
-    const int verdict = check_config(config);
+    const int verdict = zygos_config_check(config);
     if (verdict < 0) {
         return verdict;
     }
@@ -868,7 +902,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    const int verdict = check_config(config);
+    const int verdict = zygos_config_check(config);
     if (verdict < 0) {
         return verdict;
     }
@@ -1072,7 +1106,7 @@ int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t 
     if (!is_same(&self->config, config)) {
         return ZYGOS_E_CONFIG;
     }
-    if ((check_config(config) < 0) || !is_intact(self)) {
+    if ((zygos_config_check(config) < 0) || !is_intact(self)) {
         return ZYGOS_E_STATE;
     }
     zygos_take(self, work);
@@ -1198,7 +1232,7 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
         self->moving = unmoved ? moving_of(self) : self->moving;
     }
     const uint32_t rebuilt = found;
-    if ((self->accumulator.twin == ZYGOS_ACCUMULATOR_TWIN(&self->accumulator)) &&
+    if ((self->accumulator.twin == zygos_accumulator_twin(&self->accumulator)) &&
         zygos_accumulator_intact(&self->accumulator, self->column_map.parameters)) {
         zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
     }
@@ -1232,7 +1266,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    const int verdict = check_config(&self->config);
+    const int verdict = zygos_config_check(&self->config);
     if (verdict < 0) {
         return verdict;
     }

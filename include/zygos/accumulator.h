@@ -122,7 +122,7 @@ typedef struct {
     uint32_t parity;           ///< 0 or 1 in turn: which of noise_open is that of the open arc.
     uint32_t noisy;            ///< 1: noise is declared and subtracted.
     uint32_t quarantined;      ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t twin;             ///< ZYGOS_ACCUMULATOR_TWIN, with which each cycle compares the members in it.
+    uint32_t twin;             ///< zygos_accumulator_twin(), with which each cycle compares the members in it.
     uint32_t task;             ///< One of the tasks above.
     uint32_t places;           ///< The block of the task, and the one that is added to it.
     uint32_t row;              ///< The next row of the task.
@@ -153,11 +153,21 @@ typedef struct {
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
-/// The members with which a cycle addresses blocks, in one number, and those that tell which arc is closing.
-#define ZYGOS_ACCUMULATOR_TWIN(self)                                                                                   \
-    ((self)->count ^ (self)->open ^ (self)->fresh ^ (self)->ready ^ (self)->task ^ (self)->places ^ (self)->rank ^     \
-     (self)->parity ^ (self)->closing_instants ^ (self)->buffer[0].places ^ (self)->buffer[1].places ^                 \
-     (self)->buffer[2].places)
+#ifndef ZYGOS_DECLARATIONS_ONLY
+/// Returns the members with which a cycle addresses blocks, in one number, and those that tell which arc is closing.
+static inline uint32_t zygos_accumulator_twin(const zygos_accumulator_t *self)
+{
+    uint64_t fold = zygos_folded(self->count, self->open);
+    fold = zygos_folded(zygos_folded(fold, self->fresh), self->ready);
+    fold = zygos_folded(zygos_folded(fold, self->task), self->places);
+    fold = zygos_folded(zygos_folded(fold, self->rank), self->parity);
+    fold = zygos_folded(fold, self->closing_instants);
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        fold = zygos_folded(fold, self->buffer[b].places);
+    }
+    return (uint32_t)((fold * 0x9E3779B97F4A7C15u) >> 32u); /* each bit of the fold changes the upper half */
+}
+#endif
 
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);

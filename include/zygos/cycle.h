@@ -71,7 +71,7 @@ typedef struct {
     uint32_t timed;      ///< 1: time_us and time_sync hold the last FTIME; 2: one before zygos_receiver_resume().
     uint32_t time_us;
     uint64_t time_sync;
-    uint64_t fold; ///< Exclusive or of the readings of the open cycle that have arrived.
+    uint64_t fold; ///< Of the readings of the open cycle that have arrived, in whatever order.
 } zygos_assembly_t;
 
 /// Ring buffer of the complete cycles, followed by the open one. Only the producer writes head, only the consumer
@@ -80,7 +80,7 @@ typedef struct {
     uint32_t head; ///< Index of the open cycle.
     uint32_t tail; ///< Index of the oldest complete cycle, if there is one.
     zygos_cycle_t slot[ZYGOS_CYCLE_QUEUE + 1];
-    uint64_t fold[ZYGOS_CYCLE_QUEUE + 1]; ///< Exclusive or of the readings of a complete cycle, its number and flags.
+    uint64_t fold[ZYGOS_CYCLE_QUEUE + 1]; ///< Of the readings of a complete cycle, its number and flags.
 } zygos_queue_t;
 
 /// Everything about reception.

@@ -26,6 +26,13 @@ static inline uint64_t zygos_bits_of(double x)
     __builtin_memcpy(&bits, &x, sizeof bits);
     return bits;
 }
+
+/// Returns a fold that is continued with a number, for what each cycle compares: cheaper than a checksum. The same bit
+/// flipped in two numbers cancels only where these are a multiple of 64 apart.
+static inline uint64_t zygos_folded(uint64_t fold, uint64_t number)
+{
+    return ((fold << 1u) | (fold >> 63u)) ^ number;
+}
 #endif
 
 /// Adds z z^T to gram, and its row sums to sum. The three arrays must not overlap. Cost: a product and a sum for each
@@ -53,14 +60,18 @@ double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uin
                           double adds);
 
 /// Return a checksum that is continued with another number, with n words, with n doubles, or with bytes of memory. It
-/// protects data that change seldom and have no row sums. One flipped bit in any of them always changes it. Cost: one
-/// multiplication for each word of eight bytes.
+/// protects data that change seldom and have no row sums. One flipped bit in any of them always changes it, and the
+/// same bit flipped in two words does not cancel. Cost: one multiplication for each word of eight bytes.
 uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number);
 uint64_t zygos_checksum_words(uint64_t checksum, const uint64_t *word, uint32_t n);
 uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n);
 uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t bytes);
 
-/// Repairs a bit that was flipped in n words, each below 2^63, or in their checksum, which began with 0. Returns true
+/// Returns a fold (zygos_folded()) that is continued with whole words of eight bytes. Numbers of two calls that are 64
+/// apart do not cancel. Cost: two operations for each word.
+uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes);
+
+/// Repairs a bit that was flipped in n words or in their checksum, which began with 0. Returns true
 /// when the words match the checksum, or do so with one bit the other way round, which is then their content; false,
 /// with the words unchanged, when more was changed. Cost: one pass over the words for each of their bits.
 bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum);

@@ -82,7 +82,7 @@ typedef struct {
     uint32_t place;                         ///< The block that the task changes.
     uint32_t admitted;                      ///< 1: the closing arc is admitted.
     uint32_t parity;                        ///< 0 or 1 in turn: which of noise_arc is that of the open arc.
-    uint32_t twin;                          ///< ZYGOS_MOMENTUM_TWIN, with which each cycle compares the members in it.
+    uint32_t twin;                          ///< zygos_momentum_sums_twin(), which each cycle compares.
     uint32_t closing_cycles;                ///< Instants of the closing arc, accepted or not; 0 where none is closing.
     double target;                          ///< Instants up to which blocks are merged.
     double noise_fade;                      ///< Factor of noise_closed.
@@ -97,8 +97,14 @@ typedef struct {
     zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES]; ///< Those of closed arcs, and then the closing arc.
 } zygos_momentum_sums_t;
 
-/// The members that tell where the closing arc is, in one number.
-#define ZYGOS_MOMENTUM_TWIN(self) ((self)->count ^ (self)->parity ^ (self)->closing_cycles)
+#ifndef ZYGOS_DECLARATIONS_ONLY
+/// Returns the members that tell where the closing arc is, in one number.
+static inline uint32_t zygos_momentum_sums_twin(const zygos_momentum_sums_t *self)
+{
+    const uint64_t fold = zygos_folded(zygos_folded(self->count, self->parity), self->closing_cycles);
+    return (uint32_t)((fold * 0x9E3779B97F4A7C15u) >> 32u); /* each bit of the fold changes the upper half */
+}
+#endif
 
 /// Computes what follows from the configuration: columns, components, and the noise of an instant. The sums are not
 /// changed. Needs a checked configuration.

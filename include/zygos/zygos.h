@@ -136,6 +136,9 @@ enum zygos_keep {
         2 ///< The sums of the motor rows are kept, which determine Im, k and b: a payload does not change these.
 };
 
+/// Returns 1 for a configuration that zygos_init() accepts, and otherwise its error. Cost: one pass over it.
+int zygos_config_check(const zygos_config_t *config);
+
 /// Checks the configuration and initialises *self. The task that calls zygos_step() may call it again at any time while
 /// no frame is being received. config may be &self->config. Returns 1, or an enum zygos_error, in which case *self is
 /// unchanged: ZYGOS_E_ARITHMETIC where the compiler's flags break IEEE arithmetic. Cost: the coefficients of the

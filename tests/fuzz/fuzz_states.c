@@ -196,7 +196,7 @@ static void forge_energy(zygos_accumulator_t *sums)
     memcpy(&word[10], &sums->noise_fade, sizeof word[0]);
     memcpy(&word[MEMBERS], sums->order, sizeof sums->order);
     sums->checksum = zygos_checksum_words(0, word, MEMBERS + PLACES);
-    sums->twin = ZYGOS_ACCUMULATOR_TWIN(sums);
+    sums->twin = zygos_accumulator_twin(sums);
     for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
         zygos_block_t *block = &sums->block[b];
         const double weights[6] = { block->instants, block->square,      block->overlap,
