@@ -1,6 +1,17 @@
 #include "zygos/refine.h"
 
+#include "zygos/gram.h"
+#include "zygos/zygos.h"
+
+#include <stddef.h>
 #include <string.h>
+
+_Static_assert(sizeof(zygos_refine_settings_t) % sizeof(uint64_t) == 0, "settings are sealed in words of eight bytes");
+
+#define MAGIC 0x7A797266u /* "zyrf" */
+/* Of an estimate, and without effects. */
+#define PARAMETERS (ZYGOS_MAX_BODY + 3 * ZYGOS_MAX_JOINTS)
+#define MOST_PARAMETERS ((PARAMETERS < ZYGOS_MAX_PARAMETERS) ? PARAMETERS : ZYGOS_MAX_PARAMETERS)
 
 #define VARIANCE_OF_STEP 12. /* a step of 1 has the variance 1/12 */
 #define TWO_SIGMAS 1.959964  /* 95 % of a normal distribution */
@@ -50,8 +61,182 @@ static bool is_finite(double x)
     return within(x, -1e300, 1e300);
 }
 
-void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_t *config)
+/* ---------------------------------------------------------------- seals
+
+   What a slice addresses memory with is verified in each slice; settings and tables where a slice follows places in
+   them; estimate and root before they change. Sums are verified where the task waits for a cycle. What is computed for
+   one use of readings is verified when it has been used. A seal that changes with a part of what it is of keeps what
+   was wrong before. */
+
+/* Continues a fold with the members of a struct from the first to the last of these, with what lies between. */
+#define FOLDED(fold, whole, type, first, last)                                                                         \
+    zygos_fold_memory(fold, (const unsigned char *)(whole) + offsetof(type, first),                                    \
+                      (uint32_t)(offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first)))
+
+static uint64_t places_of(const zygos_refine_t *self)
 {
+    const zygos_refiner_t *filter = &self->filter;
+    uint64_t fold = FOLDED(0u, &filter->propagation, zygos_propagation_t, base_rates, friction);
+    fold = FOLDED(fold, &filter->settings, zygos_refiner_settings_t, steps, zeros);
+    fold = FOLDED(fold, &self->settings, zygos_refine_settings_t, every, apart);
+    fold = FOLDED(fold, &self->work, zygos_refiner_work_t, shapes, reserved);
+    fold = FOLDED(fold, self, zygos_refine_t, started, abandoned);
+    fold = zygos_folded(fold, filter->fast);
+    fold = zygos_folded(fold, filter->entries);
+    fold = zygos_folded(fold, filter->constants);
+    fold = zygos_folded(fold, filter->joints);
+    fold = zygos_folded(fold, filter->failed);
+    return zygos_checksum_number(fold, self->queue.tail);
+}
+
+static uint64_t settings_seal_of(const zygos_refine_t *self)
+{
+    return zygos_checksum_memory(0u, &self->settings, sizeof self->settings);
+}
+
+static uint64_t tables_seal_of(const zygos_refine_t *self)
+{
+    const uint64_t filter = zygos_checksum_memory(0u, &self->filter.propagation, sizeof self->filter.propagation);
+    const uint64_t settings = zygos_checksum_memory(filter, &self->filter.settings, sizeof self->filter.settings);
+    return zygos_checksum_memory(settings, &self->means, sizeof self->means);
+}
+
+static uint64_t estimate_seal_of(const zygos_refine_t *self)
+{
+    return zygos_checksum_doubles(0u, self->filter.x, self->filter.entries);
+}
+
+static uint64_t sums_seal_of(const zygos_refine_t *self)
+{
+    const uint32_t sums = (uint32_t)(offsetof(zygos_refine_t, means) - offsetof(zygos_refine_t, walk));
+    uint64_t seal = zygos_checksum_memory(0u, (const unsigned char *)self + offsetof(zygos_refine_t, walk), sums);
+    seal = zygos_checksum_memory(seal, &self->previous, sizeof self->previous);
+    seal = zygos_checksum_memory(seal, self->angle, sizeof self->angle);
+    return (self->settings.every > 1u) /* the dynamics are kept from cycle to cycle */
+               ? zygos_checksum_memory(seal, &self->work.dynamics, sizeof self->work.dynamics)
+               : seal;
+}
+
+/* Of columns of the root from one to before another: a sum, of which each column is a part. */
+static uint64_t columns_seal_of(const zygos_refine_t *self, uint32_t first, uint32_t end)
+{
+    uint64_t seal = 0u;
+    for (uint32_t j = first; j < end; j++) {
+        seal += zygos_checksum_doubles(j, &self->filter.root[j * (j + 1u) / 2u], j + 1u);
+    }
+    return seal;
+}
+
+static uint64_t root_seal_of(const zygos_refine_t *self)
+{
+    return columns_seal_of(self, 0u, self->filter.entries);
+}
+
+/* Of the derivatives of the accelerations, and of those of the motion. */
+static uint64_t slopes_seal_of(const zygos_refine_t *self)
+{
+    const zygos_propagation_work_t *slopes = &self->work.propagation;
+    const uint64_t seal = zygos_checksum_memory(0u, slopes->by_state, sizeof slopes->by_state);
+    return zygos_checksum_memory(zygos_checksum_memory(seal, slopes->by_constant, sizeof slopes->by_constant),
+                                 slopes->by_torque, sizeof slopes->by_torque);
+}
+
+static uint64_t series_seal_of(const zygos_refine_t *self)
+{
+    const zygos_refiner_work_t *work = &self->work;
+    const uint64_t seal = zygos_checksum_memory(1u, work->across, sizeof work->across);
+    return zygos_checksum_memory(zygos_checksum_memory(seal, work->pushed, sizeof work->pushed), work->push,
+                                 sizeof work->push);
+}
+
+static uint64_t config_seal_of(const zygos_config_t *config)
+{
+    return zygos_checksum_memory(0u, config, sizeof *config);
+}
+
+static bool are_tables_whole(const zygos_refine_t *self)
+{
+    return (self->settings_seal == settings_seal_of(self)) && (self->tables_seal == tables_seal_of(self));
+}
+
+static bool runs(const zygos_refine_t *self)
+{
+    return (self->started != 0u) && (self->filter.failed == 0u);
+}
+
+/* Whether the task waits for a cycle and has an estimate. */
+static bool rests(const zygos_refine_t *self)
+{
+    return (self->phase == (uint32_t)TAKE) && runs(self);
+}
+
+/* Needs that the places are verified. */
+static bool is_rest_whole(const zygos_refine_t *self)
+{
+    return !rests(self) || ((self->estimate_seal == estimate_seal_of(self)) && (self->sums_seal == sums_seal_of(self)));
+}
+
+/* Whether what the next slice changes is as the newest one left it. */
+static bool is_changed_whole(const zygos_refine_t *self)
+{
+    const bool reads = (self->phase == (uint32_t)READ);
+    const bool moves = (self->phase == (uint32_t)MOVE);
+    const bool slopes = (self->phase == (uint32_t)TABLE); /* used for the last time */
+    return is_rest_whole(self) && (!(reads || moves) || (self->estimate_seal == estimate_seal_of(self))) &&
+           (!reads || (self->root_seal == root_seal_of(self))) &&
+           (!slopes || (self->slopes_seal == slopes_seal_of(self) + series_seal_of(self)));
+}
+
+/* Behind a slice of a phase. */
+static void seal(zygos_refine_t *self, uint32_t phase)
+{
+    if ((phase == (uint32_t)TAKE) || (phase == (uint32_t)MOVE) || (phase == (uint32_t)READ)) {
+        self->estimate_seal = estimate_seal_of(self);
+    }
+    if (phase == (uint32_t)READ) {
+        self->root_seal = root_seal_of(self);
+    }
+    if (rests(self)) {
+        self->sums_seal = sums_seal_of(self);
+    }
+    self->places_seal = places_of(self);
+}
+
+static void seal_all(zygos_refine_t *self)
+{
+    self->tables_seal = tables_seal_of(self);
+    seal(self, (uint32_t)READ);
+}
+
+static void fail(zygos_refine_t *self)
+{
+    self->filter.failed = 1u;
+    self->moving = 0u;
+    self->beginning = 0u;
+    self->phase = (uint32_t)TAKE;
+}
+
+/* What memory errors have changed cannot be repaired. */
+static void abandon(zygos_refine_t *self)
+{
+    self->abandoned += (self->started != 0u) ? 1u : 0u;
+    self->corrupt = (self->started != 0u) ? 1u : 0u;
+    fail(self);
+}
+
+/* ---------------------------------------------------------------- beginning */
+
+int zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_t *config)
+{
+    if ((settings == NULL) || (config == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if ((config->joints < 1u) || (config->joints > (uint32_t)ZYGOS_MAX_JOINTS)) {
+        return ZYGOS_E_JOINTS;
+    }
+    if (!within(config->period_s, 1e-5, 0.065)) {
+        return ZYGOS_E_PERIOD;
+    }
     memset(settings, 0, sizeof *settings);
     zygos_refiner_settings_t *filter = &settings->filter;
     filter->steps = 1u + (uint32_t)(config->period_s / 0.0100001);
@@ -83,6 +268,14 @@ void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config
         const double own = config->joint[config->effect[e].joint].torque_gain_sigma;
         settings->beside_sigma[config->effect[e].joint] = __builtin_sqrt(own * own + reference * reference);
     }
+    return 1;
+}
+
+/* What follows from configuration and settings. Returns as zygos_refiner_init(). */
+static int make_tables(zygos_refine_t *self, const zygos_config_t *config)
+{
+    zygos_propagation_means(&self->means, self->settings.every);
+    return zygos_refiner_init(&self->filter, config, &self->settings.filter);
 }
 
 int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const zygos_refine_settings_t *settings)
@@ -91,6 +284,10 @@ int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const 
         return ZYGOS_E_NULL;
     }
     memset(self, 0, sizeof *self);
+    const int verdict = zygos_config_check(config);
+    if (verdict < 0) {
+        return verdict;
+    }
     if (config->torque_law == (uint32_t)ZYGOS_TORQUE_SAMPLED) {
         return ZYGOS_E_TORQUE_LAW;
     }
@@ -105,11 +302,83 @@ int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const 
     for (uint32_t k = 0; k < 5u * config->joints; k++) {
         good = good && within(settings->beside_sigma[k], 0.0, 1e6);
     }
-    if (!good) {
+    if (!good || (make_tables(self, config) != 1)) {
         return ZYGOS_E_VALUE;
     }
-    zygos_propagation_means(&self->means, settings->every);
-    return zygos_refiner_init(&self->filter, config, filter);
+    self->config_seal = config_seal_of(config);
+    self->settings_seal = settings_seal_of(self);
+    seal_all(self);
+    self->magic = MAGIC;
+    return 1;
+}
+
+/* Turns a flipped bit of the settings back. */
+static bool repair_settings(zygos_refine_t *self)
+{
+    uint64_t word[sizeof self->settings / sizeof(uint64_t)];
+    memcpy(word, &self->settings, sizeof word);
+    if (!zygos_checksum_repair(word, (uint32_t)(sizeof word / sizeof word[0]), self->settings_seal)) {
+        return false;
+    }
+    memcpy(&self->settings, word, sizeof word);
+    self->settings_seal = settings_seal_of(self);
+    return true;
+}
+
+/* Places that lead nowhere, from which the task goes on; with the tables, of which the counts are a part. */
+static void rebuild(zygos_refine_t *self, const zygos_config_t *config)
+{
+    const uint32_t head = self->queue.head;
+    (void)make_tables(self, config); /* which zygos_refine_init() has made of the same settings */
+    self->started = (self->started != 0u) ? 1u : 0u;
+    self->cursor = 0u;
+    self->group = 0u;
+    self->work.leads = 0u;
+    self->queue.tail = (head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u;
+    abandon(self);
+}
+
+int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
+{
+    if ((self == NULL) || (config == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const uint32_t off = self->magic ^ MAGIC;
+    const uint64_t config_off = self->config_seal ^ config_seal_of(config);
+    if ((off & (off - 1u)) != 0u) {
+        return ZYGOS_E_ORDER;
+    }
+    if ((config_off & (config_off - 1u)) != 0u) { /* one bit is that of the seal */
+        return ZYGOS_E_CONFIG;
+    }
+    uint32_t found = ((off != 0u) || (config_off != 0u)) ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
+    if (self->settings_seal != settings_seal_of(self)) {
+        if (!repair_settings(self)) {
+            return ZYGOS_E_STATE;
+        }
+        found |= (uint32_t)ZYGOS_SCRUBBED_CONFIG;
+    }
+    self->magic = MAGIC;
+    self->config_seal ^= config_off;
+    const bool tables = (self->tables_seal != tables_seal_of(self));
+    const bool places = (self->places_seal != places_of(self));
+    found |= tables ? (uint32_t)ZYGOS_SCRUBBED_TABLES : 0u;
+    found |= places ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
+    if (tables || places) {
+        rebuild(self, config);
+    } else if (rests(self) && (!is_rest_whole(self) || (self->root_seal != root_seal_of(self)))) {
+        abandon(self);
+        found |= (uint32_t)ZYGOS_SCRUBBED_SUMS;
+    }
+    if ((self->queue.head > (uint32_t)ZYGOS_CYCLE_QUEUE) || (self->queue.tail > (uint32_t)ZYGOS_CYCLE_QUEUE)) {
+        self->queue.head = 0u;
+        self->queue.tail = 0u;
+        found |= (uint32_t)ZYGOS_SCRUBBED_PLACES;
+    }
+    if (found != 0u) {
+        seal_all(self);
+    }
+    return (int)found;
 }
 
 /* What errors of p values are compared with: the value; of one of the inertia matrix at least the geometric mean of the
@@ -177,7 +446,8 @@ static void start_gains(const zygos_refine_t *self, const zygos_config_t *config
     const uint32_t gains = zygos_effects_gains(config);
     const uint32_t first = filter->fast + filter->propagation.parameters +
                            n * (filter->settings.friction + filter->settings.offsets);
-    for (uint32_t g = 0; (filter->settings.gains != 0u) && (g < gains); g++) {
+    const bool told = (estimate->parameters >= gains) && (estimate->parameters <= (uint32_t)ZYGOS_MAX_PARAMETERS);
+    for (uint32_t g = 0; told && (filter->settings.gains != 0u) && (g < gains); g++) {
         const uint32_t k = estimate->parameters - gains + g;
         const uint32_t at = first + config->effect[config->effects - gains + g].joint;
         if (is_finite(estimate->value[k]) && is_finite(estimate->sigma[k])) {
@@ -188,12 +458,10 @@ static void start_gains(const zygos_refine_t *self, const zygos_config_t *config
     }
 }
 
-int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *estimate,
-                       const double *prior)
+/* Needs a task that is whole. Returns 1 or ZYGOS_E_VALUE. */
+static int start(zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *estimate,
+                 const double *prior)
 {
-    if ((self == NULL) || (config == NULL) || (estimate == NULL)) {
-        return ZYGOS_E_NULL;
-    }
     zygos_refiner_t *filter = &self->filter;
     const uint32_t p = filter->propagation.parameters;
     const uint32_t fast = filter->fast;
@@ -202,6 +470,10 @@ int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const
     double *value = &x[fast];
     bool good = (estimate->parameters >= p) && (estimate->validity != (uint32_t)ZYGOS_REFUSED);
     self->started = 0u;
+    self->corrupt = 0u;
+    self->moving = 0u;
+    self->beginning = 0u;
+    self->phase = (uint32_t)TAKE;
     filter->failed = 0u;
     for (uint32_t k = 0; good && (k < p); k++) {
         const bool known = is_finite(estimate->value[k]) && is_finite(estimate->sigma[k]);
@@ -233,9 +505,6 @@ int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const
         zygos_refiner_pin(filter, fast + k, MOST, &self->work);
     }
     self->started = 1u;
-    self->moving = 0u;
-    self->beginning = 0u;
-    self->phase = (uint32_t)TAKE;
     self->used = 0u;
     self->windows = 0u;
     self->awaited = 0u;
@@ -250,6 +519,23 @@ int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const
     return 1;
 }
 
+int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *estimate,
+                       const double *prior)
+{
+    if ((self == NULL) || (config == NULL) || (estimate == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const int found = zygos_refine_scrub(self, config);
+    if (found < 0) {
+        return found;
+    }
+    const int begun = start(self, config, estimate, prior);
+    seal_all(self);
+    return begun;
+}
+
+/* ---------------------------------------------------------------- cycles */
+
 static uint32_t behind(uint32_t place)
 {
     return (place >= (uint32_t)ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
@@ -260,16 +546,23 @@ int zygos_refine_cycle(zygos_refine_t *self, const zygos_cycle_t *cycle)
     if (self == NULL) {
         return ZYGOS_E_NULL;
     }
+    if (self->magic != MAGIC) {
+        return ZYGOS_E_ORDER;
+    }
     if (cycle == NULL) {
         return 0;
     }
     const uint32_t head = self->queue.head;
+    if (head > (uint32_t)ZYGOS_CYCLE_QUEUE) {
+        return ZYGOS_E_STATE;
+    }
     const uint32_t next = behind(head);
     if (next == __atomic_load_n(&self->queue.tail, __ATOMIC_ACQUIRE)) {
         self->overrun++;
         return 0;
     }
     self->queue.slot[head] = *cycle;
+    self->queue.fold[head] = zygos_checksum_memory(0u, cycle, sizeof *cycle);
     __atomic_store_n(&self->queue.head, next, __ATOMIC_RELEASE);
     return 1;
 }
@@ -347,7 +640,12 @@ static void begin(zygos_refine_t *self, const zygos_config_t *config)
         sigma[k] = gyro;
         sigma[self->filter.propagation.moving + k] = self->settings.bias_sigma;
     }
+    if (self->root_seal != root_seal_of(self)) {
+        abandon(self);
+        return;
+    }
     zygos_refiner_resume(&self->filter, x, sigma);
+    self->root_seal = root_seal_of(self);
     self->moving = 1u;
     self->group = 0u;
     self->work.leads = 0u;
@@ -414,29 +712,21 @@ static bool is_apart(const zygos_refine_t *self, const zygos_config_t *config, c
     return zygos_cycle_apart(signal, config->joints) == 1;
 }
 
-static int take(zygos_refine_t *self, const zygos_config_t *config)
+/* Needs that there is a cycle. */
+static void take(zygos_refine_t *self, const zygos_config_t *config)
 {
     const uint32_t tail = self->queue.tail;
-    if (tail == __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE)) {
-        return 0;
-    }
     const zygos_cycle_t *cycle = &self->queue.slot[tail];
-    const bool runs = (self->started != 0u) && (self->filter.failed == 0u);
-    if (runs && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_VOID) != 0u)) {
+    const bool whole = (self->queue.fold[tail] == zygos_checksum_memory(0u, cycle, sizeof *cycle));
+    self->spoiled += whole ? 0u : 1u;
+    if (whole && runs(self) && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_VOID) != 0u)) {
         self->filter.failed = 1u; /* what it has used cannot be taken back */
-    } else if (runs && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_INVALID) == 0u) && !is_apart(self, config, cycle)) {
+    } else if (whole && runs(self) && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_INVALID) == 0u) &&
+               !is_apart(self, config, cycle)) {
         use(self, config, cycle);
     }
+    self->queue.fold[tail] = 0u; /* an index that changes must not bring it back */
     __atomic_store_n(&self->queue.tail, behind(tail), __ATOMIC_RELEASE);
-    return 1;
-}
-
-static void fail(zygos_refine_t *self)
-{
-    self->filter.failed = 1u;
-    self->moving = 0u;
-    self->beginning = 0u;
-    self->phase = (uint32_t)TAKE;
 }
 
 static void add_middle(zygos_refine_t *self)
@@ -533,6 +823,7 @@ static void linearise(zygos_refine_t *self, const zygos_config_t *config)
         self->work.lead_x[k] = self->expected[k] / (double)every;
     }
     self->cursor = 0u;
+    self->slopes_seal = slopes_seal_of(self);
     self->phase = (uint32_t)SERIES;
 }
 
@@ -629,6 +920,7 @@ static void series(zygos_refine_t *self, const zygos_config_t *config)
     }
     if (self->cursor >= moving + n) {
         self->cursor = 0u;
+        self->slopes_seal += series_seal_of(self);
         self->phase = (uint32_t)CARRY;
     }
 }
@@ -636,7 +928,10 @@ static void series(zygos_refine_t *self, const zygos_config_t *config)
 static void carry(zygos_refine_t *self)
 {
     for (uint32_t k = 0; (k < ZYGOS_REFINE_COLUMNS) && (self->cursor < self->filter.constants); k++, self->cursor++) {
+        const uint32_t j = self->filter.fast + self->cursor;
+        self->root_seal -= columns_seal_of(self, j, j + 1u);
         zygos_refiner_carry(&self->filter, self->cursor, NULL, &self->work);
+        self->root_seal += columns_seal_of(self, j, j + 1u);
     }
     if (self->cursor >= self->filter.constants) {
         self->phase = (uint32_t)TABLE;
@@ -660,8 +955,12 @@ static void take_row(zygos_refine_t *self, const zygos_config_t *config)
     const uint32_t leads = self->work.leads;
     const uint32_t fast = self->filter.fast;
     self->cursor--;
-    /* those of state and bias first */
-    zygos_refiner_row(&self->filter, (self->cursor >= leads) ? self->cursor - leads : fast + self->cursor, &self->work);
+    /* those of state and bias first; those of the means are not in the root */
+    const uint32_t at = (self->cursor >= leads) ? self->cursor - leads : fast + self->cursor;
+    const uint32_t end = (at < fast) ? at + 1u : at;
+    self->root_seal -= columns_seal_of(self, at, end);
+    zygos_refiner_row(&self->filter, at, &self->work);
+    self->root_seal += columns_seal_of(self, at, end);
     if (self->cursor > 0u) {
         return;
     }
@@ -747,18 +1046,12 @@ static void conclude(zygos_refine_t *self)
     }
 }
 
-int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
+static void work_on(zygos_refine_t *self, const zygos_config_t *config)
 {
-    if ((self == NULL) || (config == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    if (self->phase > (uint32_t)CLOSE) { /* memory was changed: nothing would end the caller's loop */
-        fail(self);
-        return 1;
-    }
     switch ((enum phase)self->phase) {
     case TAKE:
-        return take(self, config);
+        take(self, config);
+        break;
     case MOVE:
         move(self, config);
         break;
@@ -784,6 +1077,41 @@ int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
         conclude(self);
         break;
     }
+}
+
+int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
+{
+    if ((self == NULL) || (config == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->magic != MAGIC) {
+        return ZYGOS_E_ORDER;
+    }
+    if ((self->places_seal != places_of(self)) || (self->phase > (uint32_t)CLOSE)) {
+        return ZYGOS_E_STATE;
+    }
+    if (self->phase == (uint32_t)TAKE) {
+        const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
+        if (head == self->queue.tail) {
+            return 0;
+        }
+        if (head > (uint32_t)ZYGOS_CYCLE_QUEUE) {
+            return ZYGOS_E_STATE;
+        }
+    }
+    if (self->config_seal != config_seal_of(config)) {
+        return ZYGOS_E_CONFIG;
+    }
+    if ((self->phase <= (uint32_t)SLOPES) && !are_tables_whole(self)) {
+        return ZYGOS_E_STATE;
+    }
+    const uint32_t phase = self->phase;
+    if (is_changed_whole(self)) {
+        work_on(self, config);
+    } else {
+        abandon(self);
+    }
+    seal(self, phase);
     return 1;
 }
 
@@ -801,6 +1129,9 @@ static uint32_t reason_of(const zygos_refine_t *self, const zygos_config_t *conf
     const double *value = &filter->x[filter->fast];
     if (self->started == 0u) {
         return ZYGOS_REFINE_WAITS;
+    }
+    if (self->corrupt != 0u) {
+        return ZYGOS_REFINE_CORRUPT;
     }
     if (filter->failed != 0u) {
         return ZYGOS_REFINE_FAILED;
@@ -828,21 +1159,12 @@ static uint32_t reason_of(const zygos_refine_t *self, const zygos_config_t *conf
     return ZYGOS_REFINE_NONE;
 }
 
-int zygos_refine_judge(const zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *energy,
-                       zygos_refined_t *out)
+/* What is published of a task that is whole. */
+static void compare(const zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *energy,
+                    zygos_refined_t *out)
 {
-    if ((self == NULL) || (config == NULL) || (energy == NULL) || (out == NULL)) {
-        return ZYGOS_E_NULL;
-    }
     const zygos_refiner_t *filter = &self->filter;
     const uint32_t p = filter->propagation.parameters;
-    memset(out, 0, sizeof *out);
-    out->cycle = self->sync;
-    out->used = self->used;
-    out->lost = self->lost;
-    out->restarts = self->restarts;
-    out->rejected = self->rejected;
-    out->parameters = p;
     out->level = self->level;
     out->level_error = (self->information > 0.0) ? 0.5 / __builtin_sqrt(self->information) : 0.0;
     memcpy(out->nis, self->nis, sizeof out->nis);
@@ -867,10 +1189,40 @@ int zygos_refine_judge(const zygos_refine_t *self, const zygos_config_t *config,
         }
     }
     out->reason = reason_of(self, config, energy, out);
+}
+
+int zygos_refine_judge(const zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *energy,
+                       zygos_refined_t *out)
+{
+    if ((self == NULL) || (config == NULL) || (energy == NULL) || (out == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->magic != MAGIC) {
+        return ZYGOS_E_ORDER;
+    }
+    if (self->config_seal != config_seal_of(config)) {
+        return ZYGOS_E_CONFIG;
+    }
+    const uint32_t p = self->filter.propagation.parameters;
+    const bool whole = (self->places_seal == places_of(self)) && are_tables_whole(self) && is_rest_whole(self) &&
+                       (!rests(self) || (self->root_seal == root_seal_of(self)));
+    memset(out, 0, sizeof *out);
+    out->cycle = self->sync;
+    out->used = self->used;
+    out->lost = self->lost;
+    out->restarts = self->restarts;
+    out->rejected = self->rejected;
+    out->spoiled = self->spoiled;
+    out->abandoned = self->abandoned;
+    out->parameters = (p <= (uint32_t)MOST_PARAMETERS) ? p : (uint32_t)MOST_PARAMETERS;
+    out->reason = (uint32_t)ZYGOS_REFINE_CORRUPT;
+    if (whole) {
+        compare(self, config, energy, out);
+    }
     out->published = (out->reason == (uint32_t)ZYGOS_REFINE_NONE) ? 1u : 0u;
     if (out->published == 0u) {
-        memcpy(out->value, energy->value, p * sizeof out->value[0]);
-        memcpy(out->sigma, energy->sigma, p * sizeof out->sigma[0]);
+        memcpy(out->value, energy->value, out->parameters * sizeof out->value[0]);
+        memcpy(out->sigma, energy->sigma, out->parameters * sizeof out->sigma[0]);
     }
     return (int)out->published;
 }

@@ -179,6 +179,8 @@ const char *zygos_refine_text(uint32_t reason)
         return "the estimate from energy rows contradicts the refined values";
     case ZYGOS_REFINE_PHYSICAL:
         return "a refined stiffness, damping or rotor is not positive";
+    case ZYGOS_REFINE_CORRUPT:
+        return "memory was changed from outside";
     }
     return UNKNOWN;
 }

@@ -38,7 +38,8 @@ int main(void)
         (semihosting_read(run, &estimate, sizeof estimate) != sizeof estimate)) {
         return 1;
     }
-    zygos_refine_defaults(&settings, &config);
+    config.abi = ZYGOS_ABI;
+    (void)zygos_refine_defaults(&settings, &config);
     settings.every = head[4];
     settings.terms = head[5];
     for (uint32_t i = 0; i < config.joints; i++) {

@@ -32,7 +32,7 @@ def build(folder: Path, driver: str, cc: str = "", **capacities: int) -> Path:
     return program
 
 
-def counts(program: Path, *arguments: int) -> dict[str, int]:
+def counts(program: Path, *arguments: int | Path) -> dict[str, int]:
     """Runs a driver, which must find nothing, and returns what it counted."""
     run = subprocess.run([program, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stdout + run.stderr

@@ -17,7 +17,8 @@ from zygos.can.run import Run
 from zygos.effects import effect
 from zygos.errors import Undecided
 from zygos.model.model import Model, Quantity, load_model
-from zygos.native.flight import Flight
+from zygos.native.flight import Flight, ffi, lib
+from zygos.native.refine import OnboardRefiner
 from zygos.refinement.inertia import inertia_errors
 from zygos.refinement.refine import Refinement, refine_runs
 from zygos.runs.cycles import Cycles
@@ -190,3 +191,16 @@ def learned(arm: Arm, cycles: Cycles) -> tuple[Flight, Cycles]:
     flight = Flight(arm)
     flight.cycles(selected(cycles, slice(0, n)))
     return flight, selected(cycles, slice(n, None))
+
+
+def reseal(task: OnboardRefiner) -> None:
+    """Seal the estimate and the sums of a task on board that waits for a cycle and uses readings in each: as if what was
+    changed in them had come about in flight."""
+    native = task.native
+    native.estimate_seal = lib.zygos_checksum_doubles(0, native.filter.x, native.filter.entries)
+    first, end = (ffi.offsetof("zygos_refine_t", name) for name in ("walk", "means"))
+    seal = lib.zygos_checksum_memory(0, ffi.cast("char *", native) + first, end - first)
+    for name in ("previous", "angle"):
+        member = ffi.addressof(native, name)
+        seal = lib.zygos_checksum_memory(seal, member, ffi.sizeof(member[0]))
+    native.sums_seal = seal

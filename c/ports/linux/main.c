@@ -69,7 +69,7 @@ static int prepare_refinement(void)
     if (options.refine < 0.0) {
         return 1;
     }
-    zygos_refine_defaults(&settings, &config);
+    (void)zygos_refine_defaults(&settings, &config);
     for (uint32_t i = 0; i < config.joints; i++) {
         settings.filter.torque_relative_sigma[i] = options.refine;
     }
@@ -99,8 +99,9 @@ static void judge(void)
     static zygos_refined_t refined;
     (void)zygos_refine_judge(&fine, &arm.config, &telemetry.estimate, &refined);
     node_telemetry_refined(&telemetry, &refined);
-    if (((fine.started == 0u) || (refined.reason == (uint32_t)ZYGOS_REFINE_FAILED)) &&
-        (telemetry.estimate.validity == (uint32_t)ZYGOS_VALID)) {
+    const bool ended =
+        (refined.reason == (uint32_t)ZYGOS_REFINE_FAILED) || (refined.reason == (uint32_t)ZYGOS_REFINE_CORRUPT);
+    if (((fine.started == 0u) || ended) && (telemetry.estimate.validity == (uint32_t)ZYGOS_VALID)) {
         (void)zygos_refine_start(&fine, &arm.config, &telemetry.estimate, NULL);
     }
 }
