@@ -33,7 +33,7 @@ bool zygos_receiver_intact(const zygos_receiver_t *self)
 
 static uint32_t behind(uint32_t place)
 {
-    return (place == ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
+    return (place >= (uint32_t)ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
 }
 
 /* A reading for the exclusive or of all, whatever their order, turned by a place of its own (1..63) so that the same
@@ -81,12 +81,24 @@ void zygos_receiver_pop(zygos_receiver_t *self)
     __atomic_store_n(&self->queue.tail, behind(self->queue.tail), __ATOMIC_RELEASE);
 }
 
+uint32_t zygos_receiver_discard(zygos_receiver_t *self)
+{
+    uint32_t waiting = 0;
+    if (!zygos_receiver_intact(self)) { /* the producer's index is right again with its next cycle */
+        const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
+        __atomic_store_n(&self->queue.tail, (head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u, __ATOMIC_RELEASE);
+        return 0;
+    }
+    while ((waiting < (uint32_t)ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(self) != NULL)) {
+        zygos_receiver_pop(self);
+        waiting++;
+    }
+    return waiting;
+}
+
 void zygos_receiver_resume(zygos_receiver_t *self)
 {
-    for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(self) != NULL); i++) {
-        zygos_receiver_pop(self);
-        self->faults.dropped++;
-    }
+    self->faults.dropped += zygos_receiver_discard(self);
     self->assembly.received = 0;
     self->assembly.timed = (self->assembly.timed != 0) ? RESUMED : 0u;
     self->status.spoiled = 1;

@@ -122,13 +122,14 @@ double zygos_gram_check(const double *gram, uint32_t width, const double *sum, d
     return zygos_gram_scanned(&scan, gram, width, sum, adds);
 }
 
-/* The factor is odd, so that two checksums never become equal. A product keeps the top bit to itself, and that of two
-   words would cancel: the upper half is added to the lower one. A flipped bit of a word then changes two bits of the
-   checksum or more, by which it differs from one of the checksum itself. */
+/* The factor is odd and the rest can be turned back, so that two checksums never become equal. A product keeps the top
+   bit to itself, and that of two words would cancel: the halves change places, and bits of the upper one are added. By
+   one flipped bit of a word a checksum changes in two places at least, by which that is neither a flipped bit of the
+   next word nor of the checksum. */
 static uint64_t continued(uint64_t checksum, uint64_t number)
 {
     const uint64_t product = (checksum ^ number) * 0x100000001B3u;
-    return product ^ (product >> 32u);
+    return ((product << 32u) | (product >> 32u)) ^ (product >> 37u);
 }
 
 uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number)

@@ -419,11 +419,21 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
     zygos_guard_settle_motors(self, config, column_map, sums);
 }
 
+/* As many columns as there is room for, whatever memory says. */
+static uint32_t momentum_columns(const zygos_momentum_sums_t *sums)
+{
+    return (sums->columns < (uint32_t)ZYGOS_MAX_MOMENTUM) ? sums->columns : (uint32_t)ZYGOS_MAX_MOMENTUM;
+}
+
 /* Where the columns of the momentum rows stand. */
 static void momentum_places(const zygos_column_map_t *column_map, const zygos_momentum_sums_t *sums, uint32_t *place)
 {
-    for (uint32_t c = 0; c < sums->columns; c++) {
-        place[c] = column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
+    const uint32_t columns = momentum_columns(sums);
+    for (uint32_t c = 0; c < columns; c++) {
+        const uint32_t rotor = (c < column_map->kinetic) ? 0u : c - column_map->kinetic;
+        const bool known = (rotor < (uint32_t)ZYGOS_MAX_JOINTS);
+        const uint32_t column = (c < column_map->kinetic) ? c : (known ? column_map->joint[rotor] : UINT32_MAX);
+        place[c] = (column < (uint32_t)ZYGOS_MAX_COLUMNS) ? column_map->place[column] : (uint32_t)ZYGOS_NO_PLACE;
     }
 }
 
@@ -492,11 +502,12 @@ bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *con
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     momentum_places(column_map, sums, place);
     const uint32_t part = zygos_momentum_sums_part(sums);
-    const uint32_t end = (part < sums->columns) ? part : sums->columns;
+    const uint32_t columns = momentum_columns(sums);
+    const uint32_t end = (part < columns) ? part : columns;
     add_momentum_residuals(self, place, sums->row, end, ZYGOS_MOMENTUM_NOISE_CLOSING(sums).gram, &self->momentum_noise);
     add_momentum_residuals(self, place, sums->row, end, ZYGOS_MOMENTUM_CLOSING(sums).rows.gram, &self->momenta);
     sums->row = end;
-    if (end >= sums->columns) {
+    if (end >= columns) {
         judge_momentum(self, config, sums);
     }
     return true;
@@ -622,17 +633,18 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
     zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     momentum_places(column_map, momentum, place);
+    const uint32_t columns = momentum_columns(momentum);
     n = 0.0;
     for (uint32_t b = 0; b < momentum->count; b++) {
         zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
-        add_momentum_residuals(self, place, 0, momentum->columns, momentum->block[b].rows.gram, &block);
+        add_momentum_residuals(self, place, 0, columns, momentum->block[b].rows.gram, &block);
         found.residual += momentum->block[b].fade * block.residual;
         found.spread += momentum->block[b].fade * block.spread;
         n += momentum->block[b].fade * momentum->block[b].instants;
     }
     if (n > 0.0) {
         zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
-        add_momentum_residuals(self, place, 0, momentum->columns, momentum->noise_closed.gram, &noise);
+        add_momentum_residuals(self, place, 0, columns, momentum->noise_closed.gram, &noise);
         found.residual += momentum->noise_fade * noise.residual;
         found.spread += momentum->noise_fade * noise.spread;
     }

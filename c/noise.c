@@ -129,7 +129,8 @@ static void put_motor(zygos_column_list_t *list, const zygos_config_t *config, c
         put(list, column_map->joint[i]);
     }
     for (uint32_t e = 0; e < config->effects; e++) {
-        const bool steps = (config->effect[e].kind == ZYGOS_TORQUE_LAG) || (config->effect[e].kind == ZYGOS_TORQUE_GAIN);
+        const bool steps =
+            (config->effect[e].kind == ZYGOS_TORQUE_LAG) || (config->effect[e].kind == ZYGOS_TORQUE_GAIN);
         if ((config->effect[e].joint == i) && steps) {
             put(list, column_map->effects + e);
         }

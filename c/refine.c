@@ -271,11 +271,25 @@ int zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_
     return 1;
 }
 
-/* What follows from configuration and settings. Returns as zygos_refiner_init(). */
-static int make_tables(zygos_refine_t *self, const zygos_config_t *config)
+static bool are_settings_possible(const zygos_refine_settings_t *settings, const zygos_config_t *config)
 {
+    bool good = within(settings->every, 1.0, 1000.0) && within(settings->terms, 2.0, 20.0) &&
+                within(settings->window, 20.0, 1e5) && within(settings->apart, 1.0, 1000.0) &&
+                within(settings->bias_sigma, 0.0, 1e3) && !(config->imu_latch_s > 0.0);
+    for (uint32_t k = 0; k < 5u * config->joints; k++) {
+        good = good && within(settings->beside_sigma[k], 0.0, 1e6);
+    }
+    return good;
+}
+
+/* What follows from configuration and settings. Returns whether these are possible. */
+static bool make_tables(zygos_refine_t *self, const zygos_config_t *config)
+{
+    if (!are_settings_possible(&self->settings, config)) {
+        return false;
+    }
     zygos_propagation_means(&self->means, self->settings.every);
-    return zygos_refiner_init(&self->filter, config, &self->settings.filter);
+    return zygos_refiner_init(&self->filter, config, &self->settings.filter) == 1;
 }
 
 int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const zygos_refine_settings_t *settings)
@@ -296,13 +310,7 @@ int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const 
     for (uint32_t k = 0; k < (uint32_t)(sizeof filter->size / sizeof filter->size[0]); k++) {
         filter->size[k] = 1.0;
     }
-    bool good = within(settings->every, 1.0, 1000.0) && within(settings->terms, 2.0, 20.0) &&
-                within(settings->window, 20.0, 1e5) && within(settings->apart, 1.0, 1000.0) &&
-                within(settings->bias_sigma, 0.0, 1e3) && !(config->imu_latch_s > 0.0);
-    for (uint32_t k = 0; k < 5u * config->joints; k++) {
-        good = good && within(settings->beside_sigma[k], 0.0, 1e6);
-    }
-    if (!good || (make_tables(self, config) != 1)) {
+    if (!make_tables(self, config)) {
         return ZYGOS_E_VALUE;
     }
     self->config_seal = config_seal_of(config);
@@ -325,17 +333,21 @@ static bool repair_settings(zygos_refine_t *self)
     return true;
 }
 
-/* Places that lead nowhere, from which the task goes on; with the tables, of which the counts are a part. */
-static void rebuild(zygos_refine_t *self, const zygos_config_t *config)
+/* Places that lead nowhere, from which the task goes on; with the tables, of which the counts are a part. Returns
+ * whether there can be any. */
+static bool rebuild(zygos_refine_t *self, const zygos_config_t *config)
 {
     const uint32_t head = self->queue.head;
-    (void)make_tables(self, config); /* which zygos_refine_init() has made of the same settings */
+    if (!make_tables(self, config)) {
+        return false;
+    }
     self->started = (self->started != 0u) ? 1u : 0u;
     self->cursor = 0u;
     self->group = 0u;
     self->work.leads = 0u;
     self->queue.tail = (head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u;
     abandon(self);
+    return true;
 }
 
 int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
@@ -365,7 +377,10 @@ int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
     found |= tables ? (uint32_t)ZYGOS_SCRUBBED_TABLES : 0u;
     found |= places ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
     if (tables || places) {
-        rebuild(self, config);
+        if (!rebuild(self, config)) {
+            self->magic = 0u;
+            return ZYGOS_E_STATE;
+        }
     } else if (rests(self) && (!is_rest_whole(self) || (self->root_seal != root_seal_of(self)))) {
         abandon(self);
         found |= (uint32_t)ZYGOS_SCRUBBED_SUMS;
@@ -444,8 +459,8 @@ static void start_gains(const zygos_refine_t *self, const zygos_config_t *config
     const zygos_refiner_t *filter = &self->filter;
     const uint32_t n = config->joints;
     const uint32_t gains = zygos_effects_gains(config);
-    const uint32_t first = filter->fast + filter->propagation.parameters +
-                           n * (filter->settings.friction + filter->settings.offsets);
+    const uint32_t first =
+        filter->fast + filter->propagation.parameters + n * (filter->settings.friction + filter->settings.offsets);
     const bool told = (estimate->parameters >= gains) && (estimate->parameters <= (uint32_t)ZYGOS_MAX_PARAMETERS);
     for (uint32_t g = 0; told && (filter->settings.gains != 0u) && (g < gains); g++) {
         const uint32_t k = estimate->parameters - gains + g;

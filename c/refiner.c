@@ -50,8 +50,8 @@ int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, cons
     self->settings = *settings;
     self->joints = n;
     self->fast = propagation->moving + propagation->base_rates;
-    self->constants = propagation->parameters +
-                      n * (settings->friction + settings->offsets + settings->gains + 2u * settings->zeros);
+    self->constants =
+        propagation->parameters + n * (settings->friction + settings->offsets + settings->gains + 2u * settings->zeros);
     self->entries = self->fast + self->constants;
     return 1;
 }
@@ -423,8 +423,7 @@ void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, const double (*slope
     for (uint32_t i = 0; i < by_torque; i++) {
         const bool offset = (motion + i < gains) && (motion + i <= c);
         const bool gain = (gains + i < depends) && (gains + i <= c);
-        scaled[motion + i] =
-            (gain ? work->torque[i] * below[gains + i] : 0.0) - (offset ? below[motion + i] : 0.0);
+        scaled[motion + i] = (gain ? work->torque[i] * below[gains + i] : 0.0) - (offset ? below[motion + i] : 0.0);
     }
     multiply(work->across[0], ZYGOS_MAX_MOVING, rows, moving, own, false, moved);
     if (slope != NULL) {
@@ -433,8 +432,8 @@ void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, const double (*slope
         double added[ZYGOS_MAX_ACCELERATIONS];
         multiply(work->propagation.by_constant[0], ZYGOS_MAX_MOTION_CONSTANTS, accelerations, by_motion, scaled, false,
                  added);
-        multiply(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, by_torque, &scaled[by_motion],
-                 true, added);
+        multiply(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, by_torque, &scaled[by_motion], true,
+                 added);
         multiply(work->pushed[0], ZYGOS_MAX_ACCELERATIONS, rows, accelerations, added, true, moved);
     }
     memcpy(own, moved, moving * sizeof own[0]);

@@ -1486,7 +1486,8 @@ static bool closes(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out
     out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
     out->cluster = 0.0;
     if (out->residual > 0.0) {
-        out->cluster = work->joints_alone ? cluster_of_joints(work, p, out, &share) : cluster(work, p, out->residual, &share);
+        out->cluster =
+            work->joints_alone ? cluster_of_joints(work, p, out, &share) : cluster(work, p, out->residual, &share);
     }
     const double least = work->joints_alone ? ZYGOS_JOINT_CLUSTER_SHARE : ZYGOS_CLUSTER_SHARE;
     return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= least);
@@ -1501,8 +1502,8 @@ static double walk_in_clusters(const zygos_solver_t *work)
     double weights = 0.0;
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
-        const bool last = (b + 1u == work->blocks.end) ||
-                          (zygos_accumulator_at(work->accumulator, b + 1u)->end != block->end);
+        const bool last =
+            (b + 1u == work->blocks.end) || (zygos_accumulator_at(work->accumulator, b + 1u)->end != block->end);
         walked += block->variance[0];
         weights += (block->square > 0.0) ? block->instants * block->instants / block->square : 0.0;
         sum += last ? weights * walked / 6.0 : 0.0; /* mean square of a walk about its own mean */
@@ -1632,8 +1633,8 @@ static uint32_t weigh(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
     return combine(work, p, out);
 }
 
-/* The same where the rows tell gains from 0, for which the energy rows alone have to be solved with these gains. It ends
-   the use of the sums. */
+/* The same where the rows tell gains from 0, for which the energy rows alone have to be solved with these gains. It
+   ends the use of the sums. */
 static bool fits_with_gains(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     double explained = 0.0;

@@ -90,9 +90,8 @@ static int check_joint(const zygos_config_t *config, uint32_t i)
                        within(joint->motor_latch_s + latch, 0.0, period);
     const bool link = is_sign(joint->link_sign) && within(joint->link_zero_rad, -1e3, 1e3) &&
                       within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->link_latch_s + latch, 0.0, period);
-    const bool torque =
-        within(joint->torque_sigma, 0.0, LARGEST_VALUE) && within(joint->torque_relative_sigma, 0.0, 1.0) &&
-        within(joint->torque_gain_sigma, 0.0, 1.0);
+    const bool torque = within(joint->torque_sigma, 0.0, LARGEST_VALUE) &&
+                        within(joint->torque_relative_sigma, 0.0, 1.0) && within(joint->torque_gain_sigma, 0.0, 1.0);
     return (motor && torque && (link || (joint->rigid != 0)) && (joint->rigid <= 1u)) ? 1 : ZYGOS_E_VALUE;
 }
 
@@ -884,6 +883,9 @@ static bool is_same(const zygos_config_t *a, const zygos_config_t *b)
 static bool is_intact(const zygos_t *self)
 {
     zygos_column_map_t column_map;
+    if (zygos_config_check(&self->config) < 0) {
+        return false;
+    }
     zygos_balance_column_map(&self->config, &column_map);
     return zygos_receiver_intact(&self->receiver) &&
            zygos_accumulator_intact(&self->accumulator, column_map.parameters) &&
@@ -1106,7 +1108,7 @@ int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t 
     if (!is_same(&self->config, config)) {
         return ZYGOS_E_CONFIG;
     }
-    if ((zygos_config_check(config) < 0) || !is_intact(self)) {
+    if (!is_intact(self)) {
         return ZYGOS_E_STATE;
     }
     zygos_take(self, work);
@@ -1206,7 +1208,7 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
     if ((off & (off - 1u)) != 0) {
         return ZYGOS_E_ORDER;
     }
-    if (config == &self->config) {
+    if ((config == &self->config) || (zygos_config_check(config) < 0)) {
         return ZYGOS_E_CONFIG;
     }
     uint32_t found = (off != 0) ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
@@ -1283,14 +1285,13 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         self->apart = 0;
         memset(self->waited, 0, sizeof self->waited);
     }
-    for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(&self->receiver) != NULL); i++) {
-        zygos_receiver_pop(&self->receiver);
-    }
+    (void)zygos_receiver_discard(&self->receiver);
     make_tables(self); /* memory may have been changed there */
     self->scrubbed = self->cycle;
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
-    if (joints) {
+    const bool kept = joints && zygos_motor_sums_intact(&self->motor_sums, &self->config);
+    if (kept) {
         settle_motors(self); /* the other sums, which may be corrupt, are cleared */
         end_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS);
         settle_motors(self);
@@ -1298,7 +1299,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         settle_motors(self);
     }
     drop_all_waiting(self);
-    if (!joints) {
+    if (!kept) {
         zygos_motor_sums_clear(&self->motor_sums, &self->config);
         self->motors_forgetting = 1.0;
     }

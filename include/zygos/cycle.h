@@ -94,8 +94,12 @@ typedef struct {
 /// Initialises *self. Cost: one memset.
 void zygos_receiver_init(zygos_receiver_t *self);
 
-/// Returns whether the indices of the queue are possible. The other functions rely on that and do not check it.
+/// Returns whether the indices of the queue are possible. The functions of the oldest cycle rely on that and do not
+/// check it.
 bool zygos_receiver_intact(const zygos_receiver_t *self);
+
+/// Discards the cycles in the queue, whatever its indices are. Returns how many there were.
+uint32_t zygos_receiver_discard(zygos_receiver_t *self);
 
 /// Continues after an outage of unknown length, during which nothing was received. The open cycle is lost, and is
 /// counted when the next SYNC closes it; cycles in the queue are discarded and counted as dropped. The cycle number

@@ -71,9 +71,9 @@ uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t b
 /// apart do not cancel. Cost: two operations for each word.
 uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes);
 
-/// Repairs a bit that was flipped in n words or in their checksum, which began with 0. Returns true
-/// when the words match the checksum, or do so with one bit the other way round, which is then their content; false,
-/// with the words unchanged, when more was changed. Cost: one pass over the words for each of their bits.
+/// Repairs a bit that was flipped in n words or in their checksum, which began with 0. Returns true when the words
+/// match the checksum, or do so with one bit the other way round, which is then their content; false, with the words
+/// unchanged, when more was changed. Cost: one pass over the words for each of their bits.
 bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum);
 
 #ifdef __cplusplus

@@ -15,7 +15,8 @@
 /// The covariance is S S' with a triangular S, which stays positive definite. Its entries are the state of
 /// propagation.h; the bias of the gyro, one entry for each rate of the base; and constants: the parameters in units of
 /// settings.size, and, where configured, Coulomb friction of each rotor, an offset and a gain of each torque, and zeros
-/// of link and motor encoders. The torques carry noise, which is the process noise: sigma^2 + (relative sigma * torque)^2.
+/// of link and motor encoders. The torques carry noise, which is the process noise: sigma^2 + (relative sigma *
+/// torque)^2.
 ///
 /// A filter cannot tell whether its model is complete. The normalised squares of the innovations, 1 on average, grow
 /// with gross errors only: whoever publishes its values must compare them with the estimate from which it started.

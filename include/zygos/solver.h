@@ -76,12 +76,12 @@ enum zygos_reason {
 /// The same share where joint rows alone are solved: a small constant torque is all that is wrong with many arms, and
 /// the errors of smoothing do not persist in these rows.
 #define ZYGOS_JOINT_CLUSTER_SHARE 1e-3
-/// Where something small is missing, a solution looks closed. Three ratios of residuals, which need no declared noise of
-/// angles and rates, show about half of what makes values wrong: the cluster statistic above 1; the squared residuals of
-/// the energy rows, solved together with the others over solved alone; the same of the motor rows of each joint. The
-/// noise of torques, which walks, is allowed for, and what parameters of their own fit of the noise of few rows. What is
-/// less than a share of the squares of the right side does not count. Such an estimate is doubtful, because the balance
-/// does not close.
+/// Where something small is missing, a solution looks closed. Three ratios of residuals, which need no declared noise
+/// of angles and rates, show about half of what makes values wrong: the cluster statistic above 1; the squared
+/// residuals of the energy rows, solved together with the others over solved alone; the same of the motor rows of each
+/// joint. The noise of torques, which walks, is allowed for, and what parameters of their own fit of the noise of few
+/// rows. What is less than a share of the squares of the right side does not count. Such an estimate is doubtful,
+/// because the balance does not close.
 #define ZYGOS_MISFIT_ENERGY 0.01
 #define ZYGOS_MISFIT_MOTORS 0.005
 #define ZYGOS_MISFIT_SHARE 1e-3
@@ -177,7 +177,7 @@ typedef struct {
     double *product;
     double *linearised;
     double *prior_variance; ///< The part of each variance that the prior of the gains has.
-    uint64_t cycle; ///< The newest cycle in the sums.
+    uint64_t cycle;         ///< The newest cycle in the sums.
     zygos_column_map_t column_map;
     double weight[ZYGOS_MAX_JOINTS]; ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;          ///< Weight of the momentum rows.
@@ -190,10 +190,10 @@ typedef struct {
     uint32_t gains_seen;             ///< Number of gains that the rows tell from 0.
     uint32_t fits;                   ///< 1: the solution with held gains fits all rows.
     uint32_t reserved;
-    double alone;                    ///< Squared residuals of the energy rows solved alone [J^2].
+    double alone;                        ///< Squared residuals of the energy rows solved alone [J^2].
     double gain_value[ZYGOS_MAX_JOINTS]; ///< Where they are held.
-    double gain_cost[ZYGOS_MAX_JOINTS]; ///< Root of what a unit of information on each of them costs in variance.
-    double spread;                   ///< Sum of the squared work without the constants of the arcs [J^2].
+    double gain_cost[ZYGOS_MAX_JOINTS];  ///< Root of what a unit of information on each of them costs in variance.
+    double spread;                       ///< Sum of the squared work without the constants of the arcs [J^2].
     struct {
         uint32_t first;
         uint32_t end;

@@ -337,7 +337,7 @@ enum zygos_effect_kind {
     ZYGOS_TORQUE_OFFSET =
         6, ///< Constant by which the reported rotor torque exceeds the true one [Nm], before the gear.
     ZYGOS_VISCOUS_ASYMMETRY =
-        7, ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
+        7,                ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
     ZYGOS_TORQUE_GAIN = 8 ///< Share by which the motor's torque exceeds the reported one, beside that of the joints
                           ///< without this effect, of which there is at least one. Its prior: torque_gain_sigma.
 };

@@ -132,8 +132,8 @@ enum zygos_keep {
     ZYGOS_KEEP_NOTHING = 0,
     ZYGOS_KEEP_FAULTS =
         1, ///< The counters of faults, gaps and wraps are kept. Otherwise call it while no frame is received.
-    ZYGOS_KEEP_JOINTS =
-        2 ///< The sums of the motor rows are kept, which determine Im, k and b: a payload does not change these.
+    ZYGOS_KEEP_JOINTS = 2 ///< The sums of the motor rows are kept, which determine Im, k and b: a payload does not
+                          ///< change these. Where memory was changed so that they cannot be read, they are cleared.
 };
 
 /// Returns 1 for a configuration that zygos_init() accepts, and otherwise its error. Cost: one pass over it.

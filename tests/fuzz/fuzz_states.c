@@ -251,6 +251,78 @@ static void fly_on(uint64_t from, uint64_t cycles, const region_t *region, uint3
     }
 }
 
+/* A word of so many bytes: in one of the regions, or anywhere. */
+static size_t word_of(size_t size, const region_t *region, uint32_t regions)
+{
+    const region_t at = region[below(regions)];
+    return (below(4) == 0) ? (size_t)draw() % (sizeof arm / size) : (at.offset + below((uint32_t)at.size)) / size;
+}
+
+/* The same bit of two words, some words, or all of *self but its magic number and, mostly, its configuration. */
+static void upset(zygos_t *self, const region_t *region, uint32_t regions)
+{
+    unsigned char *bytes = (unsigned char *)self;
+    const uint32_t kind = below(8);
+    if (kind < 6u) {
+        const size_t size = (kind < 4u) ? 4u : 8u;
+        const size_t bit = (below(3) == 0) ? (size_t)draw() % (8u * size) : below(8);
+        for (uint32_t k = 0; k < 2u; k++) {
+            bytes[word_of(size, region, regions) * size + bit / 8u] ^= (unsigned char)(1u << (bit % 8u));
+        }
+    } else if (kind == 6u) {
+        for (uint32_t times = 1u + below(4); times > 0; times--) {
+            const uint32_t word = (below(2) == 0) ? (uint32_t)draw() : below(200);
+            memcpy(bytes + 4u * ((size_t)draw() % (sizeof *self / 4u)), &word, sizeof word);
+        }
+    } else {
+        const uint32_t magic = self->magic;
+        const zygos_config_t configured = self->config;
+        for (size_t at = 0; at < sizeof *self; at++) {
+            bytes[at] = (unsigned char)draw();
+        }
+        self->magic = magic;
+        self->config = (below(4) == 0) ? self->config : configured;
+    }
+}
+
+/* Every call on a state that memory errors have changed, until it is scrubbed. Returns whether that repaired it. */
+static bool misuse(uint64_t from, const zygos_config_t *config, const region_t *region, uint32_t regions)
+{
+    upset(&arm, region, regions);
+    for (uint32_t times = below(4); times > 0; times--) {
+        const uint32_t call = below(8);
+        if (call == 0) {
+            (void)zygos_end_arcs(&arm);
+        } else if (call == 1) {
+            (void)zygos_restart(&arm, below(4));
+        } else if (call == 2) {
+            (void)zygos_check(&arm, config, &work);
+        } else if (call == 3) {
+            zygos_take(&arm, &work);
+            (void)zygos_solve(&work, &estimate);
+        } else if (call == 4) {
+            (void)zygos_adopt(&arm, &estimate);
+        } else if (call == 5) {
+            (void)zygos_resume(&arm, config);
+        } else if (call == 6) {
+            (void)zygos_solve_in_place(&arm, &solver, &estimate);
+        } else {
+            for (uint32_t i = 0; i < 3u * slot_count; i++) {
+                const zygos_record_t record = motion_of(slot[i % slot_count], from + i / slot_count);
+                const zygos_frame_t frame = encode(&record, slot[i % slot_count]);
+                (void)zygos_frame(&arm, &frame);
+                (void)zygos_step(&arm);
+            }
+        }
+    }
+    const int found = zygos_scrub(&arm, config);
+    if (found >= 0) {
+        run(from + 3u, 25u);
+        check(zygos_scrub(&arm, config) >= 0, "not scrubbed again");
+    }
+    return found >= 0;
+}
+
 static int solve(void)
 {
     static double deviation[ZYGOS_MAX_PARAMETERS];
@@ -295,6 +367,7 @@ int main(int count, char **argument)
     uint64_t values = 0;
     uint64_t corrupt = 0;
     uint64_t in_place = 0;
+    uint64_t scrubbed = 0;
     for (uint64_t k = 0; k < tries; k++) {
         uint8_t head[ZYGOS_SNAPSHOT_HEAD];
         const uint32_t from = below(STATES);
@@ -326,6 +399,10 @@ int main(int count, char **argument)
             check(zygos_scrub(&arm, &config) >= 0, "not scrubbed behind a solution in place");
         }
         run(good_cycle[from] + 500u, 25u);
+        for (uint32_t times = 0; times < 4u; times++) {
+            arm = good[from];
+            scrubbed += misuse(good_cycle[from], &config, of_state, state_regions) ? 1u : 0u;
+        }
         zygos_config_t wild = config;
         change(&wild, sizeof wild, &of_config, 1);
         if (zygos_init(&arm, &wild) == 1) {
@@ -342,7 +419,7 @@ int main(int count, char **argument)
         corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
     }
     printf("resumed %" PRIu64 "\nrefused_state %" PRIu64 "\nrefused_otherwise %" PRIu64 "\nvalues %" PRIu64
-           "\ncorrupt %" PRIu64 "\nconfigured %" PRIu64 "\nin_place %" PRIu64 "\n",
-           resumed, refused_state, refused_otherwise, values, corrupt, configured, in_place);
+           "\ncorrupt %" PRIu64 "\nconfigured %" PRIu64 "\nin_place %" PRIu64 "\nscrubbed %" PRIu64 "\n",
+           resumed, refused_state, refused_otherwise, values, corrupt, configured, in_place, scrubbed);
     return 0;
 }

@@ -218,3 +218,40 @@ def test_every_byte_is_under_the_checksum(size: int) -> None:
         memory[place] ^= 4
         assert (lib.zygos_checksum_memory(1, memory, size) != before) == (place < size)
         memory[place] ^= 4
+
+
+@pytest.mark.parametrize("words", [2, 16, 40])
+def test_the_same_bit_of_two_words_does_not_cancel(words: int) -> None:
+    """Of any two, the top bit as well; and one is not mistaken for one of the checksum."""
+    rng, memory = np.random.default_rng(words), ffi.new("uint64_t[]", words)
+    for k in range(words):
+        memory[k] = int(rng.integers(2**63))
+    before = lib.zygos_checksum_words(0, memory, words)
+    for bit in range(64):
+        for first in range(words):
+            memory[first] ^= 1 << bit
+            assert (lib.zygos_checksum_words(0, memory, words) ^ before).bit_count() >= 2
+            for other in range(first + 1, words):
+                memory[other] ^= 1 << bit
+                assert lib.zygos_checksum_words(0, memory, words) != before, (bit, first, other)
+                memory[other] ^= 1 << bit
+            memory[first] ^= 1 << bit
+
+
+def test_a_flipped_bit_of_words_or_of_their_checksum_is_turned_back() -> None:
+    """And two are not."""
+    rng, words = np.random.default_rng(0), 12
+    memory, right = ffi.new("uint64_t[]", words), rng.integers(2**63, size=words).tolist()
+    for k, word in enumerate(right):
+        memory[k] = word
+    checksum = lib.zygos_checksum_words(0, memory, words)
+    for bit in range(64):
+        assert lib.zygos_checksum_repair(memory, words, checksum ^ (1 << bit)) and list(memory) == right
+        at = int(rng.integers(words))
+        memory[at] ^= 1 << bit
+        assert lib.zygos_checksum_repair(memory, words, checksum) and list(memory) == right
+        memory[at] ^= 1 << bit
+        memory[(at + 1) % words] ^= 1 << bit
+        wrong = list(memory)
+        assert not lib.zygos_checksum_repair(memory, words, checksum) and list(memory) == wrong
+        memory[at], memory[(at + 1) % words] = right[at], right[(at + 1) % words]

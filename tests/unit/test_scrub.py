@@ -257,6 +257,25 @@ def test_what_two_flipped_bits_change_is_not_used(seed: int, name: str) -> None:
     assert refused > 10
 
 
+@pytest.mark.parametrize("bit", [0, 2, 5, 31])
+def test_the_same_bit_of_two_places_is_refused_as_that_of_one(bit: int) -> None:
+    """Of counts and places, those that the next cycle refuses when one of them is changed; two of them do not cancel."""
+    begin, rng = start("open arcs"), np.random.default_rng(bit)
+    flight, own = copy_of(begin.flight), begin.own
+
+    def refused(*places: Place) -> bool:
+        ffi.memmove(flight.native, begin.flight.native, SIZE)
+        for place in places:
+            place.flip(flight.native, bit)
+        return begin.feed(flight, 0, 1) == lib.ZYGOS_E_STATE and lib.zygos_scrub(flight.native, own) > 0
+
+    listed = [place for place in one_of_each(begin.flight.native, rng) if place.leaf.size == 4 and refused(place)]
+    assert len(listed) > 30
+    pairs = [(a, b) for k, a in enumerate(listed) for b in listed[k + 1 :]]
+    chosen = [pairs[k] for k in rng.permutation(len(pairs))[:150]]
+    assert [f"{a} and {b}" for a, b in chosen if not refused(a, b)] == []
+
+
 def test_much_of_what_changes_from_cycle_to_cycle_is_under_a_check() -> None:
     """Integrals, counts and places: the next cycle is refused, and only open arcs are lost."""
     begin, states, stopped, of_all = start("open arcs"), [], 0, 0
