@@ -63,10 +63,10 @@ static bool is_finite(double x)
 
 /* ---------------------------------------------------------------- seals
 
-   What a slice addresses memory with is verified in each slice; settings and tables where a slice follows places in
-   them; estimate and root before they change. Sums are verified where the task waits for a cycle. What is computed for
-   one use of readings is verified when it has been used. A seal that changes with a part of what it is of keeps what
-   was wrong before. */
+   What a slice addresses memory with is verified in each slice; configuration, settings and tables where a slice
+   follows places in them; estimate and root before they change. Sums are verified where the task waits for a cycle.
+   What is computed for one use of readings is verified when it has been used. A seal that changes with a part of what
+   it is of keeps what was wrong before. */
 
 /* Continues a fold with the members of a struct from the first to the last of these, with what lies between. */
 #define FOLDED(fold, whole, type, first, last)                                                                         \
@@ -76,7 +76,10 @@ static bool is_finite(double x)
 static uint64_t places_of(const zygos_refine_t *self)
 {
     const zygos_refiner_t *filter = &self->filter;
-    uint64_t fold = FOLDED(0u, &filter->propagation, zygos_propagation_t, base_rates, friction);
+    const unsigned char *counts = (const unsigned char *)&filter->propagation;
+    const size_t first = offsetof(zygos_propagation_t, base_rates);
+    const size_t end = offsetof(zygos_propagation_t, sign);
+    uint64_t fold = zygos_checksum_memory(0u, counts + first, (uint32_t)(end - first));
     fold = FOLDED(fold, &filter->settings, zygos_refiner_settings_t, steps, zeros);
     fold = FOLDED(fold, &self->settings, zygos_refine_settings_t, every, apart);
     fold = FOLDED(fold, &self->work, zygos_refiner_work_t, shapes, reserved);
@@ -122,7 +125,9 @@ static uint64_t columns_seal_of(const zygos_refine_t *self, uint32_t first, uint
 {
     uint64_t seal = 0u;
     for (uint32_t j = first; j < end; j++) {
-        seal += zygos_checksum_doubles(j, &self->filter.root[j * (j + 1u) / 2u], j + 1u);
+        const double *own = &self->filter.root[j * (j + 1u) / 2u];
+        const uint64_t fold = zygos_fold_memory(j, own, (j + 1u) * (uint32_t)sizeof own[0]);
+        seal += zygos_checksum_number(fold, j);
     }
     return seal;
 }
@@ -185,6 +190,14 @@ static bool is_changed_whole(const zygos_refine_t *self)
     return is_rest_whole(self) && (!(reads || moves) || (self->estimate_seal == estimate_seal_of(self))) &&
            (!reads || (self->root_seal == root_seal_of(self))) &&
            (!slopes || (self->slopes_seal == slopes_seal_of(self) + series_seal_of(self)));
+}
+
+/* Whether the next slice begins with a group of cycles, or follows what the tables and the configuration say of places:
+   once or twice in a use of readings. */
+static bool leads_on(const zygos_refine_t *self)
+{
+    return ((self->phase == (uint32_t)TAKE) && (self->group == 0u)) || (self->phase == (uint32_t)SLOPES) ||
+           ((self->phase == (uint32_t)ROWS) && (self->cursor <= 1u));
 }
 
 /* Behind a slice of a phase. */
@@ -1114,13 +1127,15 @@ int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
             return ZYGOS_E_STATE;
         }
     }
-    if (self->config_seal != config_seal_of(config)) {
+    const uint32_t phase = self->phase;
+    const bool follows = leads_on(self);
+    if ((config->joints != self->filter.joints) || (config->torque_law >= (uint32_t)ZYGOS_TORQUE_SAMPLED) ||
+        (follows && (self->config_seal != config_seal_of(config)))) {
         return ZYGOS_E_CONFIG;
     }
-    if ((self->phase <= (uint32_t)SLOPES) && !are_tables_whole(self)) {
+    if (follows && !are_tables_whole(self)) {
         return ZYGOS_E_STATE;
     }
-    const uint32_t phase = self->phase;
     if (is_changed_whole(self)) {
         work_on(self, config);
     } else {

@@ -194,8 +194,8 @@ def learned(arm: Arm, cycles: Cycles) -> tuple[Flight, Cycles]:
 
 
 def reseal(task: OnboardRefiner) -> None:
-    """Seal the estimate and the sums of a task on board that waits for a cycle and uses readings in each: as if what was
-    changed in them had come about in flight."""
+    """Seal estimate and sums of a task that waits for a cycle and uses readings in each: as if what was changed in
+    them had come about in flight."""
     native = task.native
     native.estimate_seal = lib.zygos_checksum_doubles(0, native.filter.x, native.filter.entries)
     first, end = (ffi.offsetof("zygos_refine_t", name) for name in ("walk", "means"))

@@ -59,9 +59,10 @@ def test_memory_that_nothing_has_changed_is_left_as_it_is(begun: tuple[Flight, O
 
 
 PLACES_OF = {
-    "filter.joints": (0, 3, 31), "filter.entries": (1, 12, 30), "filter.fast": (0, 4, 31), "filter.settings.steps": (30,),
-    "filter.propagation.moving": (2, 20), "settings.every": (3, 31), "work.leads": (1, 30), "cursor": (2, 31),
-    "intervals": (31,), "started": (0,), "used": (40,), "queue.tail": (1, 31),
+    "filter.joints": (0, 3, 31), "filter.entries": (1, 12, 30), "filter.fast": (0, 4, 31),
+    "filter.settings.steps": (30,), "filter.propagation.moving": (2, 20), "settings.every": (3, 31),
+    "work.leads": (1, 30), "cursor": (2, 31), "intervals": (31,), "started": (0,), "used": (40,),
+    "queue.tail": (1, 31),
 }  # fmt: skip
 
 

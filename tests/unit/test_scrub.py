@@ -259,7 +259,7 @@ def test_what_two_flipped_bits_change_is_not_used(seed: int, name: str) -> None:
 
 @pytest.mark.parametrize("bit", [0, 2, 5, 31])
 def test_the_same_bit_of_two_places_is_refused_as_that_of_one(bit: int) -> None:
-    """Of counts and places, those that the next cycle refuses when one of them is changed; two of them do not cancel."""
+    """Counts and places that the next cycle refuses when one of them is changed: two of them do not cancel."""
     begin, rng = start("open arcs"), np.random.default_rng(bit)
     flight, own = copy_of(begin.flight), begin.own
 
