@@ -207,9 +207,10 @@ static uint32_t least(uint32_t a, uint32_t b)
 }
 
 /* The part of places_of() that many configurations do not have. */
-static uint64_t further_places_of(const zygos_t *self, uint64_t fold)
+static uint64_t further_places_of(const zygos_t *self, uint32_t counts)
 {
     const zygos_config_t *config = &self->config;
+    uint64_t fold = zygos_checksum_number(0u, counts); /* so that none of these cancels one of those */
     const uint32_t lengths[6] = { config->effects,          config->reductions,          config->reduced,
                                   self->column_map.reduced, config->momentum_arc_cycles, config->joint_row_cycles };
     for (uint32_t k = 0; k < 6u; k++) {
@@ -249,34 +250,40 @@ static inline uint32_t places_of(const zygos_t *self)
     const zygos_column_map_t *map = &self->column_map;
     const uint32_t further =
         config->momentum_arc_cycles | config->joint_row_cycles | config->effects | config->reductions;
-    const uint32_t lengths[11] = { config->joints,
-                                   config->torque_law,
-                                   config->smoother_half_width,
-                                   map->kinetic,
-                                   map->body,
-                                   map->effects,
-                                   map->count,
-                                   map->parameters,
-                                   self->smoother.joints,
-                                   self->smoother.window,
-                                   self->accumulator.width };
-    uint64_t fold = 0;
-    for (uint32_t k = 0; k < 11u; k++) {
-        fold = zygos_folded(fold, lengths[k]);
-    }
+    uint32_t fold = zygos_folded_count(config->joints, config->torque_law);
+    fold = zygos_folded_count(zygos_folded_count(fold, config->smoother_half_width), map->kinetic);
+    fold = zygos_folded_count(zygos_folded_count(fold, map->body), map->effects);
+    fold = zygos_folded_count(zygos_folded_count(fold, map->count), map->parameters);
+    fold = zygos_folded_count(zygos_folded_count(fold, self->smoother.joints), self->smoother.window);
+    fold = zygos_folded_count(fold, self->accumulator.width);
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-        fold = zygos_folded(fold, map->joint[i]);
-        fold = zygos_folded(fold, map->rotor[i]);
-        fold = zygos_folded(fold, self->motor_sums.column_map.count[i]);
+        fold = zygos_folded_count(fold, map->joint[i]);
+        fold = zygos_folded_count(fold, map->rotor[i]);
+        fold = zygos_folded_count(fold, self->motor_sums.column_map.count[i]);
     }
-    fold = (further != 0) ? further_places_of(self, fold) : fold;
-    return (uint32_t)((fold * 0x9E3779B97F4A7C15u) >> 32u); /* each bit of the fold changes the upper half */
+    if (further != 0) {
+        const uint64_t all = zygos_fold_end(further_places_of(self, fold));
+        fold = (uint32_t)(all >> 32u); /* which each bit of the fold changes */
+    }
+    return zygos_fold_of_counts_end(fold);
 }
 
-/* Continues a fold with the members of a struct from the first to the last of these, with what lies between. */
+/* Continues a fold with whole words of eight bytes of a struct. */
+static inline uint64_t folded(uint64_t fold, const void *whole, size_t first, size_t bytes)
+{
+    const unsigned char *from = (const unsigned char *)whole + first;
+    fold *= 0x100000001B3u; /* words of two structs that are 64 apart do not cancel either */
+    for (const unsigned char *end = from + bytes; from != end; from += 8) {
+        uint64_t word;
+        __builtin_memcpy(&word, from, sizeof word);
+        fold = zygos_folded(fold, word);
+    }
+    return fold;
+}
+
+/* From the first to the last of these members of a struct, with what lies between. */
 #define FOLDED(fold, whole, type, first, last)                                                                         \
-    zygos_fold_memory(fold, (const unsigned char *)(whole) + offsetof(type, first),                                    \
-                      (uint32_t)(offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first)))
+    folded(fold, whole, offsetof(type, first), offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first))
 
 /* Of the places, counts and integrals that one cycle leaves to the next. A bit that flips there would spoil the rest of
    an arc. */
@@ -285,25 +292,14 @@ static uint64_t moving_of(const zygos_t *self)
     const zygos_config_t *config = &self->config;
     const zygos_balance_t *balance = &self->balance;
     const zygos_impulse_t *impulse = &self->impulse;
-    const uint32_t counts[14] = { self->arc,
-                                  self->ending,
-                                  self->smoother.position,
-                                  self->smoother.filled,
-                                  balance->instants,
-                                  balance->origin,
-                                  balance->torque_at,
-                                  impulse->instants,
-                                  impulse->origin,
-                                  self->momentum.instants,
-                                  self->momentum.origin,
-                                  self->motor_sums.cycles,
-                                  self->momentum_sums.cycles,
-                                  0u };
-    uint64_t fold = 0;
-    for (uint32_t k = 0; k < 14u; k += 2u) {
-        fold = zygos_folded(fold, ((uint64_t)counts[k] << 32u) | counts[k + 1u]);
-    }
-    fold = FOLDED(fold, balance, zygos_balance_t, work, dissipation_rate);
+    uint32_t counts = zygos_folded_count(self->arc, self->ending);
+    counts = zygos_folded_count(zygos_folded_count(counts, self->smoother.position), self->smoother.filled);
+    counts = zygos_folded_count(zygos_folded_count(counts, balance->instants), balance->origin);
+    counts = zygos_folded_count(zygos_folded_count(counts, balance->torque_at), impulse->instants);
+    counts = zygos_folded_count(zygos_folded_count(counts, impulse->origin), self->momentum.instants);
+    counts = zygos_folded_count(zygos_folded_count(counts, self->momentum.origin), self->motor_sums.cycles);
+    counts = zygos_folded_count(counts, self->momentum_sums.cycles);
+    uint64_t fold = FOLDED(counts, balance, zygos_balance_t, work, dissipation_rate);
     fold = FOLDED(fold, &self->previous, zygos_previous_cycle_t, reported, theta);
     fold = FOLDED(fold, &self->accumulator, zygos_accumulator_t, length, segment);
     if (config->impulse_arc_cycles > 0) {
@@ -317,10 +313,10 @@ static uint64_t moving_of(const zygos_t *self)
         fold = FOLDED(fold, impulse, zygos_impulse_t, total, before);
     }
     if (self->ending != 0) {
-        fold = zygos_fold_memory(fold, self->ended, sizeof self->ended);
-        fold = zygos_fold_memory(fold, self->ended_forgetting, sizeof self->ended_forgetting);
+        fold = folded(fold, self->ended, 0, sizeof self->ended);
+        fold = folded(fold, self->ended_forgetting, 0, sizeof self->ended_forgetting);
     }
-    return fold;
+    return zygos_fold_end(fold);
 }
 
 /* Whether a cycle accesses nothing outside *self. Those that do not follow from the configuration change; they are

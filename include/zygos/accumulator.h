@@ -157,15 +157,15 @@ typedef struct {
 /// Returns the members with which a cycle addresses blocks, in one number, and those that tell which arc is closing.
 static inline uint32_t zygos_accumulator_twin(const zygos_accumulator_t *self)
 {
-    uint64_t fold = zygos_folded(self->count, self->open);
-    fold = zygos_folded(zygos_folded(fold, self->fresh), self->ready);
-    fold = zygos_folded(zygos_folded(fold, self->task), self->places);
-    fold = zygos_folded(zygos_folded(fold, self->rank), self->parity);
-    fold = zygos_folded(fold, self->closing_instants);
+    uint32_t fold = zygos_folded_count(self->count, self->open);
+    fold = zygos_folded_count(zygos_folded_count(fold, self->fresh), self->ready);
+    fold = zygos_folded_count(zygos_folded_count(fold, self->task), self->places);
+    fold = zygos_folded_count(zygos_folded_count(fold, self->rank), self->parity);
+    fold = zygos_folded_count(fold, self->closing_instants);
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        fold = zygos_folded(fold, self->buffer[b].places);
+        fold = zygos_folded_count(fold, self->buffer[b].places);
     }
-    return (uint32_t)((fold * 0x9E3779B97F4A7C15u) >> 32u); /* each bit of the fold changes the upper half */
+    return zygos_fold_of_counts_end(fold);
 }
 #endif
 

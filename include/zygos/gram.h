@@ -33,6 +33,24 @@ static inline uint64_t zygos_folded(uint64_t fold, uint64_t number)
 {
     return ((fold << 1u) | (fold >> 63u)) ^ number;
 }
+
+/// The same for at most 32 counts.
+static inline uint32_t zygos_folded_count(uint32_t fold, uint32_t count)
+{
+    return ((fold << 1u) | (fold >> 31u)) ^ count;
+}
+
+/// Return what a fold is stored as: a flipped bit of what was folded changes more than that bit of it.
+static inline uint64_t zygos_fold_end(uint64_t fold)
+{
+    const uint64_t product = fold * 0x9E3779B97F4A7C15u;
+    return product ^ (product >> 32u);
+}
+static inline uint32_t zygos_fold_of_counts_end(uint32_t fold)
+{
+    const uint32_t product = fold * 0x9E3779B1u;
+    return product ^ (product >> 15u);
+}
 #endif
 
 /// Adds z z^T to gram, and its row sums to sum. The three arrays must not overlap. Cost: a product and a sum for each

@@ -101,8 +101,8 @@ typedef struct {
 /// Returns the members that tell where the closing arc is, in one number.
 static inline uint32_t zygos_momentum_sums_twin(const zygos_momentum_sums_t *self)
 {
-    const uint64_t fold = zygos_folded(zygos_folded(self->count, self->parity), self->closing_cycles);
-    return (uint32_t)((fold * 0x9E3779B97F4A7C15u) >> 32u); /* each bit of the fold changes the upper half */
+    const uint32_t fold = zygos_folded_count(zygos_folded_count(self->count, self->parity), self->closing_cycles);
+    return zygos_fold_of_counts_end(fold);
 }
 #endif
 

@@ -168,7 +168,7 @@ def test_a_flipped_bit_of_the_settings_is_turned_back(begun: tuple[Flight, Onboa
 def test_tables_are_computed_again(begun: tuple[Flight, OnboardRefiner, Cycles]) -> None:
     flight, task, rest = begun
     damaged, again = copy_of(task), copy_of(task)
-    damaged.native.filter.propagation.first[3] ^= 64
+    damaged.native.filter.propagation.sign[3] *= 2.0
     hand(damaged, rest)
     assert step(damaged) == lib.ZYGOS_E_STATE
     assert scrub(damaged) == TABLES and damaged.native.abandoned == 1
