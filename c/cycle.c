@@ -84,9 +84,13 @@ void zygos_receiver_pop(zygos_receiver_t *self)
 uint32_t zygos_receiver_discard(zygos_receiver_t *self)
 {
     uint32_t waiting = 0;
-    if (!zygos_receiver_intact(self)) { /* the producer's index is right again with its next cycle */
-        const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
-        __atomic_store_n(&self->queue.tail, (head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u, __ATOMIC_RELEASE);
+    if (!zygos_receiver_intact(self)) {
+        uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
+        if (head > (uint32_t)ZYGOS_CYCLE_QUEUE) { /* where the producer would go on with its next cycle */
+            head = 0;
+            __atomic_store_n(&self->queue.head, head, __ATOMIC_RELEASE);
+        }
+        __atomic_store_n(&self->queue.tail, head, __ATOMIC_RELEASE);
         return 0;
     }
     while ((waiting < (uint32_t)ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(self) != NULL)) {

@@ -390,3 +390,16 @@ def test_a_state_that_lost_its_way_does_nothing_before_it_is_scrubbed() -> None:
     assert lib.zygos_scrub(flight.native, own) > 0
     assert lib.zygos_step(flight.native) == 1
     assert bytes_of(flight.native) != before
+
+
+@pytest.mark.parametrize("keep", [0, lib.ZYGOS_KEEP_FAULTS, lib.ZYGOS_KEEP_JOINTS])
+def test_a_restart_makes_an_impossible_queue_possible(keep: int) -> None:
+    """Whatever its indices are, and those of the motor sums that would be kept: the next cycles are processed."""
+    begin = start("reception")
+    for name, members in (("queue", ("tail", "head")), ("motor_sums", ("count", "place"))):
+        for member in members:
+            flight = copy_of(begin.flight)
+            place = flight.native.receiver.queue if name == "queue" else flight.native.motor_sums
+            setattr(place, member, 2**31 + 5)
+            assert lib.zygos_restart(flight.native, keep) == 1
+            assert begin.feed(flight, 4, 8) >= 0 and flight.native.cycles > begin.flight.native.cycles, member
