@@ -33,7 +33,7 @@ bool zygos_receiver_intact(const zygos_receiver_t *self)
 
 static uint32_t behind(uint32_t place)
 {
-    return (place >= (uint32_t)ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
+    return (place == ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
 }
 
 /* A reading for the exclusive or of all, whatever their order, turned by a place of its own (1..63) so that the same
@@ -86,7 +86,7 @@ uint32_t zygos_receiver_discard(zygos_receiver_t *self)
     uint32_t waiting = 0;
     if (!zygos_receiver_intact(self)) {
         uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
-        if (head > (uint32_t)ZYGOS_CYCLE_QUEUE) { /* where the producer would go on with its next cycle */
+        if (head > (uint32_t)ZYGOS_CYCLE_QUEUE) { /* the producer keeps its open cycle there */
             head = 0;
             __atomic_store_n(&self->queue.head, head, __ATOMIC_RELEASE);
         }
