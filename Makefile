@@ -144,9 +144,10 @@ kernels: build node $(VENV)/.test ## C against numpy under two more sets of BLAS
 
 DRILLS := tests/hil/test_drills.py tests/hil/test_node.py tests/hil/test_can_utils.py
 hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, or User-Mode Linux); or CHANNEL=can0 DUT=external (docs/hil.md)
+	PYTHONPATH=tests:tests/support $(BIN)/python -c "import conftest"
 	ZYGOS_RUNS=$${ZYGOS_OUT:-out}/runs $(if $(CHANNEL),ZYGOS_VCAN_IFS=$(CHANNEL) ZYGOS_OUT=$${ZYGOS_OUT:-out},ZYGOS_VCAN_TIMEOUT=$${ZYGOS_VCAN_TIMEOUT:-1500} tools/with-vcan) $(BIN)/python -m pytest -rs \
 	    $(if $(DUT),$(DRILLS),tests/hil) --zygos-channel $(or $(CHANNEL),$(firstword $(ZYGOS_VCAN_IFS)),vcan0) \
-	    --zygos-dut $(or $(DUT),$(NODE)) --zygos-scenario examples/lively/scenario.toml --zygos-json $${ZYGOS_OUT:-out}/hil.json
+	    --zygos-dut $(or $(DUT),$(NODE)) --zygos-scenario build/examples/lively/scenario.toml --zygos-json $${ZYGOS_OUT:-out}/hil.json
 
 latency: $(VENV)/.test ## write the latencies of docs/hil.md and docs/latency.svg from the last `make hil`
 	$(BIN)/python tools/latency.py $${ZYGOS_OUT:-out}/hil.json docs/hil.md docs/latency.svg

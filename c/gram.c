@@ -171,9 +171,9 @@ uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes)
 {
     const unsigned char *from = (const unsigned char *)memory;
     fold = continued(fold, bytes);
-    for (const unsigned char *end = from + bytes; from != end; from += 8) {
+    for (uint32_t i = 0; i + 8u <= bytes; i += 8u) {
         uint64_t word;
-        __builtin_memcpy(&word, from, sizeof word);
+        __builtin_memcpy(&word, from + i, sizeof word);
         fold = zygos_folded(fold, word);
     }
     return fold;

@@ -68,10 +68,12 @@ static bool is_finite(double x)
    What is computed for one use of readings is verified when it has been used. A seal that changes with a part of what
    it is of keeps what was wrong before. */
 
-/* Continues a fold with the members of a struct from the first to the last of these, with what lies between. */
+/* Continues a fold with the members of a struct from the first to the last of these, with what lies between: whole
+   words, or it does not compile. */
+#define BETWEEN(type, first, last) (offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first))
+#define WORDS(bytes) ((uint32_t)((bytes) * sizeof(char[((bytes) % 8u == 0u) ? 1 : -1])))
 #define FOLDED(fold, whole, type, first, last)                                                                         \
-    zygos_fold_memory(fold, (const unsigned char *)(whole) + offsetof(type, first),                                    \
-                      (uint32_t)(offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first)))
+    zygos_fold_memory(fold, (const unsigned char *)(whole) + offsetof(type, first), WORDS(BETWEEN(type, first, last)))
 
 static uint64_t places_of(const zygos_refine_t *self)
 {
@@ -80,7 +82,7 @@ static uint64_t places_of(const zygos_refine_t *self)
     const size_t first = offsetof(zygos_propagation_t, base_rates);
     const size_t end = offsetof(zygos_propagation_t, sign);
     uint64_t fold = zygos_checksum_memory(0u, counts + first, (uint32_t)(end - first));
-    fold = FOLDED(fold, &filter->settings, zygos_refiner_settings_t, steps, zeros);
+    fold = FOLDED(fold, &filter->settings, zygos_refiner_settings_t, steps, reserved);
     fold = FOLDED(fold, &self->settings, zygos_refine_settings_t, every, apart);
     fold = FOLDED(fold, &self->work, zygos_refiner_work_t, shapes, reserved);
     fold = FOLDED(fold, self, zygos_refine_t, started, abandoned);
@@ -112,24 +114,24 @@ static uint64_t estimate_seal_of(const zygos_refine_t *self)
 static uint64_t sums_seal_of(const zygos_refine_t *self)
 {
     const uint32_t sums = (uint32_t)(offsetof(zygos_refine_t, means) - offsetof(zygos_refine_t, walk));
-    uint64_t seal = zygos_checksum_memory(0u, (const unsigned char *)self + offsetof(zygos_refine_t, walk), sums);
-    seal = zygos_checksum_memory(seal, &self->previous, sizeof self->previous);
-    seal = zygos_checksum_memory(seal, self->angle, sizeof self->angle);
+    uint64_t sealed = zygos_checksum_memory(0u, (const unsigned char *)self + offsetof(zygos_refine_t, walk), sums);
+    sealed = zygos_checksum_memory(sealed, &self->previous, sizeof self->previous);
+    sealed = zygos_checksum_memory(sealed, self->angle, sizeof self->angle);
     return (self->settings.every > 1u) /* the dynamics are kept from cycle to cycle */
-               ? zygos_checksum_memory(seal, &self->work.dynamics, sizeof self->work.dynamics)
-               : seal;
+               ? zygos_checksum_memory(sealed, &self->work.dynamics, sizeof self->work.dynamics)
+               : sealed;
 }
 
 /* Of columns of the root from one to before another: a sum, of which each column is a part. */
 static uint64_t columns_seal_of(const zygos_refine_t *self, uint32_t first, uint32_t end)
 {
-    uint64_t seal = 0u;
+    uint64_t sealed = 0u;
     for (uint32_t j = first; j < end; j++) {
         const double *own = &self->filter.root[j * (j + 1u) / 2u];
         const uint64_t fold = zygos_fold_memory(j, own, (j + 1u) * (uint32_t)sizeof own[0]);
-        seal += zygos_checksum_number(fold, j);
+        sealed += zygos_checksum_number(fold, j);
     }
-    return seal;
+    return sealed;
 }
 
 static uint64_t root_seal_of(const zygos_refine_t *self)
@@ -141,16 +143,16 @@ static uint64_t root_seal_of(const zygos_refine_t *self)
 static uint64_t slopes_seal_of(const zygos_refine_t *self)
 {
     const zygos_propagation_work_t *slopes = &self->work.propagation;
-    const uint64_t seal = zygos_checksum_memory(0u, slopes->by_state, sizeof slopes->by_state);
-    return zygos_checksum_memory(zygos_checksum_memory(seal, slopes->by_constant, sizeof slopes->by_constant),
+    const uint64_t sealed = zygos_checksum_memory(0u, slopes->by_state, sizeof slopes->by_state);
+    return zygos_checksum_memory(zygos_checksum_memory(sealed, slopes->by_constant, sizeof slopes->by_constant),
                                  slopes->by_torque, sizeof slopes->by_torque);
 }
 
 static uint64_t series_seal_of(const zygos_refine_t *self)
 {
     const zygos_refiner_work_t *work = &self->work;
-    const uint64_t seal = zygos_checksum_memory(1u, work->across, sizeof work->across);
-    return zygos_checksum_memory(zygos_checksum_memory(seal, work->pushed, sizeof work->pushed), work->push,
+    const uint64_t sealed = zygos_checksum_memory(1u, work->across, sizeof work->across);
+    return zygos_checksum_memory(zygos_checksum_memory(sealed, work->pushed, sizeof work->pushed), work->push,
                                  sizeof work->push);
 }
 

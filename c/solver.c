@@ -1136,7 +1136,7 @@ static void add_prior(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     const double limit = ZYGOS_GAIN_SIGMAS * ZYGOS_GAIN_SIGMAS;
     double *u = work->without;
     double *common = work->linearised;
-    double scatter[ZYGOS_MAX_JOINTS];
+    double scatter[ZYGOS_MAX_JOINTS] = { 0.0 };
     double expected[ZYGOS_MAX_JOINTS] = { 0.0 };
     memset(common, 0, p * sizeof common[0]);
     memset(work->prior_variance, 0, p * sizeof work->prior_variance[0]);
@@ -1600,7 +1600,11 @@ static bool fits(const zygos_solver_t *work, uint32_t p, double alone)
     double share = 0.0;
     const double square = left / work->instants;
     const double walk = walk_in_clusters(work) / square;
-    bool good = (cluster(work, p, root(square), &share) <= 1.0 + walk) || (share <= ZYGOS_MISFIT_SHARE);
+    if (walk > 1.0) {
+        return true;
+    }
+    bool good = (cluster(work, p, root(square), &share) <= ZYGOS_MISFIT_CLUSTER * (1.0 + walk)) ||
+                (share <= ZYGOS_MISFIT_CLUSTER_SHARE);
     good = good && !energy_disturbed(work, p, left, alone, 1.0 + walk);
     for (uint32_t i = 0; i < work->config->joints; i++) {
         good = good && !motors_disturbed(work, i, 1.0 + walk);
@@ -1657,7 +1661,7 @@ static bool fits_with_gains(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
     (void)solve_with(work, p, rank, work->noise_scale, work->solution);
     out->signal_to_noise = signal_to_noise;
     const double alone = energy_left(work, p, work->solution, &explained);
-    return good && !energy_disturbed(work, p, left, alone, 1.0 + walk);
+    return good && ((walk > 1.0) || !energy_disturbed(work, p, left, alone, 1.0 + walk));
 }
 
 /* Solves the blocks from the given one on, with which an arc begins. */
@@ -1785,7 +1789,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     } else if (!physical(work, out)) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_NOT_PHYSICAL;
-    } else if (!closed || (!fit && !noisy)) {
+    } else if (!closed || (!fit && !noisy && (known == p))) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
     } else if (work->guard->changed != 0) {

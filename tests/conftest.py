@@ -28,6 +28,8 @@ PAPER = ROOT / "examples" / "paper"
 EXAMPLE = exact_example(ROOT / "examples" / "lively", ROOT / "build" / "examples" / "lively")
 """The motion of all fixtures: every parameter shows in it. Its torque sensors are exact; other arms have tests of
 their own."""
+IN_SPACE = exact_example(ROOT / "examples" / "spatial", ROOT / "build" / "examples" / "spatial")
+"""The arm in space, likewise with exact torque sensors."""
 
 
 def need(found: object, what: str) -> None:

@@ -43,13 +43,13 @@ static inline uint32_t zygos_folded_count(uint32_t fold, uint32_t count)
 /// Return what a fold is stored as: a flipped bit of what was folded changes more than that bit of it.
 static inline uint64_t zygos_fold_end(uint64_t fold)
 {
-    const uint64_t product = fold * 0x9E3779B97F4A7C15u;
-    return product ^ (product >> 32u);
+    const uint64_t mixed = fold * 0x9E3779B97F4A7C15u;
+    return mixed ^ (mixed >> 32u);
 }
 static inline uint32_t zygos_fold_of_counts_end(uint32_t fold)
 {
-    const uint32_t product = fold * 0x9E3779B1u;
-    return product ^ (product >> 15u);
+    const uint32_t mixed = fold * 0x9E3779B1u;
+    return mixed ^ (mixed >> 15u);
 }
 #endif
 

@@ -77,14 +77,16 @@ enum zygos_reason {
 /// the errors of smoothing do not persist in these rows.
 #define ZYGOS_JOINT_CLUSTER_SHARE 1e-3
 /// Where something small is missing, a solution looks closed. Three ratios of residuals, which need no declared noise
-/// of angles and rates, show about half of what makes values wrong: the cluster statistic above 1; the squared
-/// residuals of the energy rows, solved together with the others over solved alone; the same of the motor rows of each
-/// joint. The noise of torques, which walks, is allowed for, and what parameters of their own fit of the noise of few
-/// rows. What is less than a share of the squares of the right side does not count. Such an estimate is doubtful,
-/// because the balance does not close.
-#define ZYGOS_MISFIT_ENERGY 0.01
+/// of angles and rates, show about half of what makes values wrong: the cluster statistic; the squared residuals of the
+/// energy rows, solved together with the others over solved alone; the same of the motor rows of each joint. The noise
+/// of torques, which walks, is allowed for, and what parameters of their own fit of the noise of few rows. What is less
+/// than a share of the squares of the right side does not count. Such an estimate is doubtful, because the balance does
+/// not close. Estimates that lack values, and those whose residuals may all be noise of the torques, are not judged.
+#define ZYGOS_MISFIT_CLUSTER 3.0
+#define ZYGOS_MISFIT_ENERGY 0.015
 #define ZYGOS_MISFIT_MOTORS 0.005
 #define ZYGOS_MISFIT_SHARE 1e-3
+#define ZYGOS_MISFIT_CLUSTER_SHARE 2e-3
 /// Where the balance closes only because of that share, the sigmas allow for a residual that all blocks have in common:
 /// for the part of the cluster statistic above this value, which noise does not reach.
 #define ZYGOS_CLUSTER_NOISE 1.0

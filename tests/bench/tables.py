@@ -23,9 +23,9 @@ SIZED = [name for name in CONFIGURATIONS if name.endswith(BARE) or name == "grou
 
 BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 3600, ("m7", "seven, bare"): 80_000}
 """Most instructions of a full cycle, by target and configuration."""
-HELD = {("x86-64", "paper, bare"): 4800, ("m7", "paper, bare"): 5100, ("m7", "seven, bare"): 80_000}
+HELD = {("x86-64", "paper, bare"): 5000, ("m7", "paper, bare"): 5600, ("m7", "seven, bare"): 90_000}
 """What is held: a budget that is met, and what stands in place of those that are missed. Each cycle verifies the places
-by which it addresses memory and the integrals (docs/upset.md), which takes up to 9 %, and has its share of the work
+by which it addresses memory and the integrals (docs/upset.md), which takes up to a fifth, and has its share of the work
 beside the rows."""
 WHOLE = {"paper, bare": 0.5, "spatial, bare": 0.9, "seven, bare": 0.9}
 """Most that kinematics, balance and accumulator take of the instructions of Pinocchio and Eigen for the same p."""

@@ -135,13 +135,13 @@ def test_no_cycle_costs_much_more_than_the_others(counted: Counter, target: str,
 
 @pytest.mark.slow
 def test_compensation_and_motor_rows_cost_little(counted: Counter) -> None:
-    """1,750 instructions of a mean cycle, at the most; effects cost something."""
+    """1,900 instructions of a mean cycle, at the most; effects cost something."""
     mean = {
         name: float(count.stage("step")[count.ordinary()].mean())
         for name in ("paper", "paper, bare", "motor_coulomb", "spring_offset")
         for count in [counted("m7", name)]
     }
-    assert 0.0 < mean["paper"] - mean["paper, bare"] <= 1750.0
+    assert 0.0 < mean["paper"] - mean["paper, bare"] <= 1900.0
     assert min(mean["motor_coulomb"], mean["spring_offset"]) > mean["paper"]
 
 
@@ -169,7 +169,7 @@ def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
     """zygos_t is the same on both targets, and its rooms fit into it. The solver has pointers."""
     host, target = counted("x86-64", "paper, bare").sizes, counted("m7", "paper, bare").sizes
     assert {**host, "solver": 0} == {**target, "solver": 0}
-    assert 0 < host["solver"] - target["solver"] < 100
+    assert 0 < host["solver"] - target["solver"] < 120
     rooms = sum(size for name, size in host.items() if name not in ("parameters", "whole", "solver"))
     assert 0.95 < rooms / host["whole"] < 1.0
 

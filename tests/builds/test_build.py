@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arm_support import exact_torques
 from build_support import INCLUDE, ROOMS, ROOT, TARGETS, capacities, objects, onboard, run, tool
 from calls_support import Calls
 from runs_support import trajectory_of
@@ -216,7 +217,7 @@ def test_capacity_changes_no_bit(example: str, joints: int, duration_s: float) -
     """An arm in a build for just its joints, without room for effects, and in the largest one; rows of every kind."""
     folder = ROOT / "examples" / example
     scenario, model = load_scenario(folder / "scenario.toml"), load_model(folder / "model.toml")
-    arm = replace(load_arm(folder / "arm.toml"), momentum_max_s=10.0)
+    arm = replace(exact_torques(load_arm(folder / "arm.toml")), momentum_max_s=10.0)
     cycles = trajectory_of(arm, model, scenario, noise=True, duration_s=duration_s, rtol=1e-6, atol=1e-8).cycles()
     large = results(arm, cycles)
     spatial = int(arm.spatial)

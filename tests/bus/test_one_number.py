@@ -26,8 +26,9 @@ from zygos.simulation.scenario import load_scenario
 def flown(name: str, folder: Path) -> Path:
     """A short run of an example, as a table."""
     example = ROOT / "examples" / name
-    arm, model = load_arm(example / "arm.toml"), load_model(example / "model.toml")
-    seen = trajectory_of(arm, model, load_scenario(example / "scenario.toml"), noise=True, duration_s=30.0)
+    of, motion = ("cad.toml", "a.toml") if name == "gap" else ("model.toml", "scenario.toml")
+    arm, model = load_arm(example / "arm.toml"), load_model(example / of)
+    seen = trajectory_of(arm, model, load_scenario(example / motion), noise=True, duration_s=30.0)
     save_arm(arm, folder / "arm.toml")
     save_run(Run.of_cycles(arm, seen.cycles()), folder / "run.npz")
     return folder / "run.npz"
@@ -76,13 +77,7 @@ def as_number(text: str) -> float:
 def test_an_estimate_has_one_value_and_one_interval(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if name == "gap":
-        arm = load_arm(ROOT / "examples" / "gap" / "arm.toml")
-        save_arm(arm, tmp_path / "arm.toml")
-        file = tmp_path / "run.blf"
-        file.write_bytes((ROOT / "examples" / "gap" / "demo" / "a.blf").read_bytes())
-    else:
-        file = driven(tmp_path) if name == "ground" else flown(name, tmp_path)
+    file = driven(tmp_path) if name == "ground" else flown(name, tmp_path)
     said, content, page = answered("estimate", file, capsys, "-o", tmp_path / "m.toml")
     measured = load_run(file, tmp_path / "arm.toml")
     found = estimate_ground([measured]) if name == "ground" else estimate(measured)

@@ -448,17 +448,19 @@ def test_the_arm_rests_and_then_moves_along_a_sine() -> None:
 
 
 def test_every_case_of_the_issue_is_there() -> None:
-    assert len(CASES) == 27
+    assert len(CASES) == 29
     assert [name for name, case in CASES.items() if not case.benign] == [
         *("paper-30", "gain-50", "sigma-half", "sigma-double", "torque-0.1", "torque-0.5", "torque-1"),
-        *("scale", "lag", "cubic", "friction", "snap"),
+        *("scale", "gain", "lag", "cubic", "friction", "backlash", "snap"),
     ]
     hidden = {name: [one.kind.key for one in case.model.effects] for name, case in CASES.items() if case.model.effects}
     assert hidden == {
         "scale": ["torque_gain"],
+        "gain": ["torque_gain"],
         "lag": ["torque_lag"] * 2,
         "cubic": ["cubic_stiffness"] * 2,
         "friction": ["motor_coulomb"] * 2,
+        "backlash": ["backlash"],
     }
     assert not CASES["fixed"].arm.free and CASES["fixed"].arm.gravity == (0.0, 0.0, 0.0)
     assert {name: case.scenario.duration_s for name, case in CASES.items() if name.startswith("paper")} == {

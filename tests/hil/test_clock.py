@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from conftest import ROOT
+from conftest import IN_SPACE
 from zygos.can.vcan import kernel_counts
 from zygos.native import snapshot
 from zygos.native.flight import Estimate, Flight
@@ -118,7 +118,7 @@ def test_every_cycle_is_answered(rate_hz: int, load: str, plant: Plant, dut: Dut
 @pytest.fixture(scope="module")
 def in_space(pytestconfig: pytest.Config) -> Plant:
     """The arm in space, which has 54 parameters."""
-    scenario = load_scenario(ROOT / "examples" / "spatial" / "scenario.toml")
+    scenario = load_scenario(IN_SPACE / "scenario.toml")
     return Plant(replace(scenario, duration_s=20.0), pytestconfig.getoption("--zygos-channel"))
 
 

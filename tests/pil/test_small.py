@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from arm_support import exact_torques
 from build_support import capacities
 
 from pil.conftest import Agree, Measured
@@ -29,7 +30,7 @@ LEAST = (
     "-DZYGOS_MAX_REDUCTION=0",
     "-DZYGOS_JOINT_ROWS=0",
 )
-"""The least capacities that hold an arm with springs, on a free base."""
+"""The least capacities that hold an arm with springs and exact torque sensors, on a free base."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def test_everything_fits(example: str, tmp_path: Path, agree: Agree, measured: M
     small = SMALL[example]
     with capacities(*small.build.defines):
         arm, cycles = recorded(example)
-        arm = replace(arm, arc_max_s=0.3, momentum_max_s=0.3, impulse_arc_s=0.3)
+        arm = replace(exact_torques(arm), arc_max_s=0.3, momentum_max_s=0.3, impulse_arc_s=0.3)
         config = flight.config_of(arm)
         assert config.compensation > 0
         sections = [frames_section(flight.encode(arm, cycles)), *END]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_support import exact_torques
 from flight_support import bytes_of, part
 from numpy.typing import NDArray
 from plant_support import lively as example
@@ -35,7 +36,7 @@ def lively() -> tuple[Trajectory, Floats]:
 
 
 def modern() -> tuple[Trajectory, Floats]:
-    arm, plant = load_arm(EXAMPLES / "gap" / "arm.toml"), load_model(EXAMPLES / "gap" / "cad.toml")
+    arm, plant = exact_torques(load_arm(EXAMPLES / "gap" / "arm.toml")), load_model(EXAMPLES / "gap" / "cad.toml")
     scenario = load_scenario(EXAMPLES / "gap" / "a.toml")
     run = trajectory_of(arm, plant, scenario, noise=False, duration_s=40.0, rtol=1e-9, atol=1e-11)
     return run, plant.base_values(arm)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_support import random_arm
+from arm_support import exact_torques, random_arm
 from motion_support import FLEXIBLE, sines
 from numpy.typing import NDArray
 from runs_support import trajectory_of
@@ -114,7 +114,7 @@ def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: 
     """
     folder = EXAMPLES / example
     # seven joints at 500 Hz are more than a classical bus carries, but not more than the cycle door
-    arm, model = load_arm(folder / "arm.toml").at_period(0.002), load_model(folder / "model.toml")
+    arm, model = exact_torques(load_arm(folder / "arm.toml")).at_period(0.002), load_model(folder / "model.toml")
     scenario = load_scenario(folder / "scenario.toml")
     arm = replace(arm, compensate_every=0)  # there is no noise
     run = trajectory_of(

@@ -475,7 +475,8 @@ def test_c_equals_numpy_with_the_offsets_that_an_arm_file_asks_for(tmp_path: Pat
 def modern() -> Trajectory:
     """The motion of examples/lively with sensors of today, 20 bits and 200 Hz."""
     _, model, scenario = lively()
-    return trajectory_of(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=24.0,
+    arm = exact_torques(load_arm(LIVELY.parent / "gap" / "arm.toml"))
+    return trajectory_of(arm, model, scenario, noise=True, duration_s=24.0,
                          rtol=1e-9, atol=1e-11)  # fmt: skip
 
 

@@ -11,12 +11,13 @@ import pytest
 from flight_support import energy_only
 from numpy.typing import NDArray
 from plant_support import lively
+from runs_support import trajectory_of
 
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import effect
 from zygos.errors import ZygosError
-from zygos.native.flight import Estimate, Flight, config_of, ffi, lib
+from zygos.native.flight import REASONS, Estimate, Flight, config_of, ffi, lib
 from zygos.native.refine import OnboardRefiner
 from zygos.reference.compare import check_cycles
 from zygos.refinement.refine import refine_runs
@@ -25,6 +26,7 @@ from zygos.simulation.plant import Trajectory
 
 Floats = NDArray[np.float64]
 SHARE = 0.01
+UNCLOSED = REASONS[6]
 
 
 def declared(arm: Arm, *sigma: float) -> Arm:
@@ -204,3 +206,15 @@ def test_a_refinement_on_board_finds_the_gain(cycles: Cycles) -> None:
         value, spread = refiner.estimate
         off = float(np.max(np.abs(value - true) / spread))
         assert off < 5.0 if sigma else off > 10.0
+
+
+def test_a_friction_that_no_column_has_is_doubted_though_its_residuals_are_small() -> None:
+    """Coulomb friction of 1 % of the typical torque: rows disturb each other. Without it they do not."""
+    arm, model, scenario = lively()
+    for value in (0.0, 0.22):
+        hidden = replace(model, effects=(effect("motor_coulomb", arm.joints[1].name, value),) if value else ())
+        run = trajectory_of(arm, hidden, scenario, seeds=[0], noise=True).cycles(0)
+        for sigma in (0.0, SHARE):
+            found = told(declared(arm, sigma), run)
+            assert (found.validity, found.reason) == (("doubtful", UNCLOSED) if value else ("valid", ""))
+            assert found.cluster < 20.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from refine_support import Case, flown, learned, selected
 
 from zygos.native.flight import Flight, ffi
-from zygos.native.refine import OnboardRefiner
+from zygos.native.refine import Onboard, OnboardRefiner
 from zygos.runs.cycles import Cycles
 
 Floats = NDArray[np.float64]
@@ -19,10 +19,10 @@ FRESH_RATE = np.sqrt(530.0) / 6.0
 (11, -18, 9, -2)/6."""
 
 
-def started() -> tuple[Case, OnboardRefiner, Flight, Cycles]:
+def started(apart: int | None = None) -> tuple[Case, OnboardRefiner, Flight, Cycles]:
     case = Case()
     flight, rest = learned(case.arm, flown(case, 0))
-    task = OnboardRefiner(case.arm)
+    task = OnboardRefiner(case.arm, Onboard(apart=apart))
     task.start(flight)
     return case, task, flight, rest
 
@@ -45,8 +45,7 @@ def begin(task: OnboardRefiner, rest: Cycles) -> int:
 
 @pytest.mark.parametrize("apart", [1, 3])
 def test_a_state_begins_with_four_readings_that_are_apart(apart: int) -> None:
-    case, task, _, rest = started()
-    task.native.settings.apart = apart
+    case, task, _, rest = started(apart)
     assert begin(task, rest) == 3 * apart + 1
     n, arm = case.arm.n, case.arm
     base = task.native.filter.propagation.moving - 4 * n

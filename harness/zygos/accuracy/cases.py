@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zygos.arm import JOINT_ROW_S, NO_IMU, Arm, Smoother, load_arm
+from zygos.arm import JOINT_ROW_S, NO_IMU, TORQUE_GAIN_SIGMA, Arm, Smoother, load_arm
 from zygos.dynamics.equations import EngineName
 from zygos.effects import Effect, effect
 from zygos.errors import ZygosError
@@ -118,6 +118,10 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
     def at_joints(key: str, value: float) -> tuple[Effect, ...]:
         return tuple(effect(key, joint.name, value) for joint in arm.joints)
 
+    declared = noisy(0.005).arm
+    uncertain = replace(
+        declared, joints=tuple(replace(joint, torque_gain_sigma=TORQUE_GAIN_SIGMA) for joint in declared.joints)
+    )
     grounded = modern(200)
     # a lower order flattens this motion by more than is left of the noise, as `zygos check-arm` finds
     bolted = replace(grounded.plant, base="fixed", imu=NO_IMU, smoother=Smoother(25, 8, 12))
@@ -188,9 +192,24 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         lacking(
             "scale", "torques of the elbow 2 % larger than reported", effect("torque_gain", arm.joints[-1].name, 0.02)
         ),
+        replace(
+            lacking(
+                "gain",
+                "torques of the elbow 5 % larger than reported",
+                effect("torque_gain", arm.joints[-1].name, 0.05),
+            ),
+            arm=uncertain,
+            description="torques of the elbow 5 % larger than reported; the arm file declares errors of 1 %; "
+            "torques with noise of 0.5 %",
+        ),
         lacking("lag", "torques that begin 5 ms late", *at_joints("torque_lag", 0.005)),
         lacking("cubic", "springs with a cubic part of 3 Nm/rad³", *at_joints("cubic_stiffness", 3.0)),
         lacking("friction", "Coulomb friction of 0.01 Nm at the motors", *at_joints("motor_coulomb", 0.01)),
+        lacking(
+            "backlash",
+            "backlash of 0.02 rad to each side in the spring of the elbow",
+            effect("backlash", arm.joints[-1].name, 1000.0, shape=0.02),
+        ),
         replace(
             at("snap", f"moves of {SNAP_S:g} s with as long rests, T = 300 s", 300.0),
             scenario=_snaps(replace(scenario, duration_s=300.0)),

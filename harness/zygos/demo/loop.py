@@ -28,7 +28,7 @@ from zygos.can import bus
 from zygos.can.dbc import arm_database
 from zygos.can.rounds import rounds
 from zygos.demo.demonstration import GAP, run_zygos
-from zygos.effects import with_gains
+from zygos.effects import estimated
 from zygos.errors import ZygosError
 from zygos.files.output import check_outputs, note, number, say, table, write_json
 from zygos.model.model import load_model
@@ -181,7 +181,7 @@ def close_loop(folder: Path, fly: Fly, *, cycles: int | None = None) -> Closed:
 
     # Scoring starts here: everything has been flown and judged, and nothing below changes it.
     sealed = json.loads((GAP / "demo" / "sealed.json").read_text())
-    columns = [one.column(arm) for one in with_gains(arm, load_model(adopted).effects)]
+    columns = [one.column(arm) for one in estimated(arm, load_model(adopted).effects) if not one.kind.gain]
     content = {
         "named": [{"effect": one["effect"], "joint": one["joint"]} for one in verdict["findings"]],
         "hidden": [{"effect": sealed["hidden"], "joint": sealed["where"]}],

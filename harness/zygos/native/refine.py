@@ -29,6 +29,8 @@ class Onboard:
     """Of the series of the derivatives over `every` cycles."""
     window: int | None = None
     """Uses of readings that are judged together."""
+    apart: int | None = None
+    """Cycles between the readings with which the state begins."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class OnboardRefiner:
         native.filter.bias_walk = arm.imu.bias_walk * math.sqrt(arm.period_s)
         native.filter.steps = settings.steps or native.filter.steps
         native.every, native.terms = settings.every or native.every, settings.terms or native.terms
-        native.window = settings.window or native.window
+        native.window, native.apart = settings.window or native.window, settings.apart or native.apart
         verdict = lib.zygos_refine_init(self.native, self._config, native)
         if verdict != 1:
             raise ZygosError(

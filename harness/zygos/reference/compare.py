@@ -359,6 +359,27 @@ def _solved(
     return _Solved(combined, sums_of(arm, flight, used, of_motors, momentum, of_joints, combined), prior)
 
 
+def _sizes_with_effects(arm: Arm, x: Floats, used: Design, of_joints: Groups | None) -> Floats:
+    """(p,) `sizes`, and of an effect, which may be zero, the largest value that the data would allow."""
+    size, first = sizes(arm, x), len(arm.parameter_names)
+    own = Rows(used.z, used.w, used.noise) if of_joints is None or not suffice(arm) else of_joints.rows
+    size[first:] = np.linalg.norm(own.w) / np.linalg.norm(own.z[:, first:], axis=0)
+    return size
+
+
+def solution_of(arm: Arm, cycles: Cycles) -> tuple[Floats, Floats]:
+    """numpy's solution (p,) of cycles, with its sizes (p,); the prior of gains has the blocks of the library. Raises
+    ZygosError for input that does not fit the arm, Undecided for a record that does not determine the parameters."""
+    flight = Flight(arm)
+    flight.cycles(cycles)
+    samples = calibrate(arm, cycles)
+    smoothed = smooth(arm, samples)
+    used = tables(arm, samples, smoothed, flight.effects).used
+    of_joints = groups(arm, samples, smoothed, flight.effects)
+    x = _solved(arm, flight, samples, smoothed, used, of_joints).combined.solution.x
+    return x, _sizes_with_effects(arm, x, used, of_joints)
+
+
 def _compare_solution(
     arm: Arm, flight: Flight, estimate: Estimate, known: Tables, of_joints: Groups | None, solved: _Solved
 ) -> list[Room]:
@@ -366,11 +387,7 @@ def _compare_solution(
     used, sums, solution = known.used, solved.sums, solved.combined.solution
     has_value = np.isfinite(estimate.value)
     tolerance = max(1e-9, 1e-14 * estimate.condition)
-    size = sizes(arm, solution.x)
-    # an effect may be zero; then its size is the largest value that the data would allow
-    first = len(arm.parameter_names)
-    own = Rows(used.z, used.w, used.noise) if of_joints is None or not suffice(arm) else of_joints.rows
-    size[first:] = np.linalg.norm(own.w) / np.linalg.norm(own.z[:, first:], axis=0)
+    size = _sizes_with_effects(arm, solution.x, used, of_joints)
     relative = (np.abs(estimate.value - solution.x) / size)[has_value]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
     of_solution = Room("solution", len(relative), worst, None, tolerance)

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.native.flight import Estimate
-from zygos.reference import chain
-from zygos.reference.compare import decode, sizes
+from zygos.reference.compare import decode, solution_of
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.testing.stream import Stream
 
 _FIELDS = tuple(Cycles.__dataclass_fields__)
+_OF_BLOCKS = 1e-5
+"""Tolerance of a solution that depends on where blocks end."""
 
 
 def fault_counts(stream: Stream) -> dict[str, int]:
@@ -36,13 +37,15 @@ def survived(*streams: Stream) -> Cycles:
 def disagreement(estimate: Estimate, *streams: Stream) -> float:
     """Difference of an estimate from numpy's over the cycles that survived, in units of its tolerance.
 
-    The tolerance is 1e-9 of a parameter, or 1e-14 times the condition where that is larger. The result is infinite if
+    The tolerance is 1e-9 of a parameter, or 1e-14 times the condition where that is larger; 1e-5 where gains of torque
+    sensors are estimated, whose prior depends on where blocks end. The result is infinite if
     the estimate has no values. Raises Undecided if the streams determine no parameter.
     """
     arm = streams[0].arm
-    expected = chain(arm, survived(*streams)).solution.x
+    expected, size = solution_of(arm, survived(*streams))
     known = np.isfinite(estimate.value)
     if not known.any():
         return float("inf")
-    relative: NDArray[np.float64] = (np.abs(estimate.value - expected) / sizes(arm, expected))[known]
-    return float(relative.max() / max(1e-9, 1e-14 * estimate.condition))
+    relative: NDArray[np.float64] = (np.abs(estimate.value - expected) / size)[known]
+    least = _OF_BLOCKS if arm.relative_gains else 1e-9
+    return float(relative.max() / max(least, 1e-14 * estimate.condition))
