@@ -187,7 +187,7 @@ typedef struct {
     uint32_t joints_alone;           ///< 1: they alone are solved.
     uint32_t joints_used;            ///< 1: they take part.
     uint32_t gains;                  ///< Number of torque gains, which are the last parameters.
-    uint32_t gains_held;             ///< 1: they are held at 0.
+    uint32_t gains_held;             ///< 1: they are held at the values last found, gain_value.
     uint32_t gains_differ;           ///< Number of gains that contradict their prior.
     uint32_t gains_seen;             ///< Number of gains that the rows tell from 0.
     uint32_t fits;                   ///< 1: the solution with held gains fits all rows.

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from arm_support import with_gain_sigma
 from numpy.typing import NDArray
 from runs_support import trajectory_of
 
 from conftest import ROOT
-from zygos.arm import TORQUE_GAIN_SIGMA, Arm, load_arm
+from zygos.arm import TORQUE_GAIN_SIGMA, load_arm
 from zygos.model.model import load_model
 from zygos.native.flight import Flight, encode
 from zygos.simulation.plant import record
@@ -48,7 +49,7 @@ def test_no_gain_makes_a_value_wrong_and_confident(runs: Runs) -> None:
     """The sensor of each joint in turn. Nothing that is valid or partial is more than 5 sigmas and 2 % off; the gain is
     found; the intervals of sound sensors hold."""
     folder = ROOT / "examples" / runs.example
-    arm, model = _declared(load_arm(folder / "arm.toml")), load_model(folder / "model.toml")
+    arm, model = with_gain_sigma(load_arm(folder / "arm.toml"), TORQUE_GAIN_SIGMA), load_model(folder / "model.toml")
     scenario = load_scenario(folder / "scenario.toml")
     motion = trajectory_of(arm, model, scenario, seeds=range(runs.motions), noise=True, duration_s=runs.duration_s)
     numbers = [[1000 * draw + seed for seed in range(runs.motions)] for draw in range(runs.draws)]
@@ -78,7 +79,3 @@ def test_no_gain_makes_a_value_wrong_and_confident(runs: Runs) -> None:
                 inside.append((off <= found.half95)[np.isfinite(found.value)])
     print(runs, dict(told), "coverage of sound sensors", np.mean(np.concatenate(inside)))
     assert np.mean(np.concatenate(inside)) > 0.93 - 3.0 * np.sqrt(0.05 * 0.95 / len(np.concatenate(inside)))
-
-
-def _declared(arm: Arm) -> Arm:
-    return replace(arm, joints=tuple(replace(joint, torque_gain_sigma=TORQUE_GAIN_SIGMA) for joint in arm.joints))

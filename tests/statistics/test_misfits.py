@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm_support import exact_torques
+from arm_support import with_gain_sigma
 from runs_support import trajectory_of
 
 from conftest import ROOT
@@ -40,7 +40,7 @@ def test_half_of_the_wrong_values_are_doubted(sigma: float) -> None:
     wrong, caught, worst = 0, 0, 0.0
     for example in ("paper", "lively"):
         folder = ROOT / "examples" / example
-        known = declared(load_arm(folder / "arm.toml"), sigma)
+        known = with_gain_sigma(load_arm(folder / "arm.toml"), sigma)
         model, scenario = load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
         true = model.base_values(known)
         for key, joint, value, shape in HIDDEN:
@@ -69,7 +69,7 @@ def test_sound_runs_are_not_doubted(sigma: float) -> None:
     alarms, runs = 0, 0
     for example in ("paper", "lively"):
         folder = ROOT / "examples" / example
-        known = declared(load_arm(folder / "arm.toml"), sigma)
+        known = with_gain_sigma(load_arm(folder / "arm.toml"), sigma)
         model, scenario = load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
         motion = trajectory_of(known, model, scenario, seeds=range(SEEDS), noise=True)
         for share in (0.7, 1.0, 1.4):
@@ -83,11 +83,6 @@ def test_sound_runs_are_not_doubted(sigma: float) -> None:
                     alarms, runs = alarms + (found.reason == UNCLOSED), runs + 1
     print(f"declared gains {sigma}: {alarms} of {runs} sound runs doubted because the balance does not close")
     assert alarms <= 0.01 * runs
-
-
-def declared(arm: Arm, sigma: float) -> Arm:
-    exact = exact_torques(arm)
-    return replace(exact, joints=tuple(replace(joint, torque_gain_sigma=sigma) for joint in exact.joints))
 
 
 def scaled(arm: Arm, share: float) -> Arm:

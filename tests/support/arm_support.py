@@ -37,9 +37,16 @@ class State(NamedTuple):
     """(N,) Nm before the gear."""
 
 
+def with_gain_sigma(arm: Arm, *sigma: float) -> Arm:
+    """The arm with declared errors of the torque sensors' gains, of each joint or of all."""
+    every = sigma if len(sigma) == arm.n else sigma * arm.n
+    joints = [replace(joint, torque_gain_sigma=s) for joint, s in zip(arm.joints, every, strict=True)]
+    return replace(arm, joints=tuple(joints))
+
+
 def exact_torques(arm: Arm) -> Arm:
     """The arm with torque sensors whose gains are exact, so that none is estimated."""
-    return replace(arm, joints=tuple(replace(joint, torque_gain_sigma=0.0) for joint in arm.joints))
+    return with_gain_sigma(arm, 0.0)
 
 
 def exact_example(folder: Path, copy: Path) -> Path:

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from arm_support import with_gain_sigma
 from flight_support import energy_only
 from numpy.typing import NDArray
 from plant_support import lively
@@ -27,13 +28,6 @@ from zygos.simulation.plant import Trajectory
 Floats = NDArray[np.float64]
 SHARE = 0.01
 UNCLOSED = REASONS[6]
-
-
-def declared(arm: Arm, *sigma: float) -> Arm:
-    """The arm with declared errors of the gains, of each joint or of all."""
-    every = sigma if len(sigma) == arm.n else sigma * arm.n
-    joints = [replace(joint, torque_gain_sigma=s) for joint, s in zip(arm.joints, every, strict=True)]
-    return replace(arm, joints=tuple(joints))
 
 
 def reported(cycles: Cycles, *gains: float) -> Cycles:
@@ -60,18 +54,18 @@ def cycles(noisy: Trajectory) -> Cycles:
 
 
 def test_the_reference_is_the_most_exact_sensor(arm: Arm) -> None:
-    assert declared(arm, 0.01).relative_gains == (1,)
-    assert declared(arm, 0.02, 0.01).relative_gains == (0,)
-    assert declared(arm, 0.0, 0.01).relative_gains == (1,)
-    assert declared(arm, 0.0).relative_gains == ()
-    np.testing.assert_allclose(declared(arm, 0.02, 0.01).relative_gain_covariance, [[5e-4]])
-    assert Flight(declared(arm, 0.02, 0.01)).names[-1] == "torque_gain1"
+    assert with_gain_sigma(arm, 0.01).relative_gains == (1,)
+    assert with_gain_sigma(arm, 0.02, 0.01).relative_gains == (0,)
+    assert with_gain_sigma(arm, 0.0, 0.01).relative_gains == (1,)
+    assert with_gain_sigma(arm, 0.0).relative_gains == ()
+    np.testing.assert_allclose(with_gain_sigma(arm, 0.02, 0.01).relative_gain_covariance, [[5e-4]])
+    assert Flight(with_gain_sigma(arm, 0.02, 0.01)).names[-1] == "torque_gain1"
 
 
 def test_a_wrong_gain_without_a_column_is_wrong_and_with_it_right(arm: Arm, cycles: Cycles, true: Floats) -> None:
     """The elbow reports 2 % too much, which is within what an arm file that says nothing declares."""
     wrong = reported(cycles, 1.0, 1.02)
-    without, found = told(declared(arm, 0.0), wrong), told(declared(arm, SHARE), wrong)
+    without, found = told(with_gain_sigma(arm, 0.0), wrong), told(with_gain_sigma(arm, SHARE), wrong)
     off = np.abs(without.value - true) / without.sigma
     assert float(off.max()) > 5.0
     assert found.validity == "valid"
@@ -86,20 +80,20 @@ def test_a_gain_that_contradicts_the_arm_file_is_doubted_and_named(
     arm: Arm, cycles: Cycles, true: Floats, gain: float
 ) -> None:
     wrong = reported(cycles, 1.0, gain)
-    found = told(declared(arm, SHARE), wrong)
+    found = told(with_gain_sigma(arm, SHARE), wrong)
     assert found.validity == "doubtful"
     assert found.reason == "the gain of a torque sensor differs from what is declared of it"
     assert not far(found, true).any()
     assert found.value[-1] == pytest.approx(1.0 / gain - 1.0, abs=5.0 * found.sigma[-1] + 5e-4)
     # an arm file that knows how uncertain it is makes it valid
-    again = told(declared(arm, 0.2), wrong)
+    again = told(with_gain_sigma(arm, 0.2), wrong)
     assert again.validity == "valid"
     assert not far(again, true).any()
 
 
 def test_the_first_sensor_is_the_scale(arm: Arm, cycles: Cycles, true: Floats) -> None:
     """Where it reports 3 % too much, all values grow by that, and the other sensor seems to report too little."""
-    found = told(declared(arm, 0.1), reported(cycles, 1.03, 1.0))
+    found = told(with_gain_sigma(arm, 0.1), reported(cycles, 1.03, 1.0))
     assert found.validity == "valid"
     assert not far(found, 1.03 * true).any()
     assert found.value[-1] == pytest.approx(0.03, abs=4.0 * found.sigma[-1])
@@ -107,7 +101,7 @@ def test_the_first_sensor_is_the_scale(arm: Arm, cycles: Cycles, true: Floats) -
 
 def test_a_gain_that_is_declared_as_nearly_exact_changes_nothing(arm: Arm, cycles: Cycles) -> None:
     """The prior decides where it is better than the motion, and its error is all that the gain's sigma has."""
-    known, found = told(declared(arm, 0.0), cycles), told(declared(arm, 1e-6), cycles)
+    known, found = told(with_gain_sigma(arm, 0.0), cycles), told(with_gain_sigma(arm, 1e-6), cycles)
     np.testing.assert_allclose(found.value[:-1], known.value, rtol=1e-5)
     np.testing.assert_allclose(found.sigma[:-1], known.sigma, rtol=1e-2)
     assert found.sigma[-1] == pytest.approx(np.sqrt(2.0) * 1e-6, rel=1e-2)
@@ -117,7 +111,7 @@ def test_a_gain_that_is_declared_as_nearly_exact_changes_nothing(arm: Arm, cycle
 @pytest.mark.parametrize("gains", [(SHARE, 1.0), (SHARE, 1.05), (0.1, 1.3)])
 def test_c_equals_numpy_with_gains(arm: Arm, cycles: Cycles, law: str, gains: tuple[float, float]) -> None:
     sigma, gain = gains
-    known = replace(declared(arm, sigma), torque_law=law)
+    known = replace(with_gain_sigma(arm, sigma), torque_law=law)
     rooms = {room.name: room for room in check_cycles(known, reported(cycles, 1.0, gain))}
     assert [name for name, room in rooms.items() if not room.equal] == []
     # a run of held torques has no solution under another law, but its rows are compared
@@ -125,7 +119,7 @@ def test_c_equals_numpy_with_gains(arm: Arm, cycles: Cycles, law: str, gains: tu
 
 
 def test_c_equals_numpy_where_only_energy_rows_tell(arm: Arm, cycles: Cycles) -> None:
-    rooms = check_cycles(energy_only(declared(arm, SHARE)), cycles)
+    rooms = check_cycles(energy_only(with_gain_sigma(arm, SHARE)), cycles)
     assert [room.name for room in rooms if not room.equal] == []
 
 
@@ -134,7 +128,7 @@ def test_gains_are_refused_where_they_mean_nothing(arm: Arm) -> None:
     native = ffi.new("zygos_t *")
 
     def answer(change: Callable[..., None]) -> int:
-        config = config_of(declared(arm, SHARE), (effect("motor_viscous", arm.joints[0].name),))
+        config = config_of(with_gain_sigma(arm, SHARE), (effect("motor_viscous", arm.joints[0].name),))
         assert config.effects == 2
         change(config)
         return int(lib.zygos_init(native, config))
@@ -160,11 +154,11 @@ def test_gains_are_refused_where_they_mean_nothing(arm: Arm) -> None:
 
 def test_a_model_may_name_a_gain_only_where_one_is_estimated(arm: Arm) -> None:
     named = [effect("torque_gain", joint.name, 0.01) for joint in arm.joints]
-    assert Flight(declared(arm, SHARE), named[1:]).names[-1] == "torque_gain2"
+    assert Flight(with_gain_sigma(arm, SHARE), named[1:]).names[-1] == "torque_gain2"
     with pytest.raises(ZygosError, match="torque_gain_sigma"):
-        Flight(declared(arm, SHARE), named[:1])
+        Flight(with_gain_sigma(arm, SHARE), named[:1])
     with pytest.raises(ZygosError, match="torque_gain_sigma"):
-        Flight(declared(arm, 0.0), named[1:])
+        Flight(with_gain_sigma(arm, 0.0), named[1:])
 
 
 @cache
@@ -183,14 +177,14 @@ def test_a_refinement_finds_the_gain(cycles: Cycles) -> None:
     """A gain within the declared 1 % makes no value wrong, and is known to a small part of it."""
     arm, true = _noisy_torques()
     wrong = _with_noise(reported(cycles, 1.0, 1.01))
-    found = refine_runs(Run.of_cycles(declared(arm, SHARE), wrong))
+    found = refine_runs(Run.of_cycles(with_gain_sigma(arm, SHARE), wrong))
     (gain,) = found.effects
     assert found.published, found.reason
     assert gain.kind.key == "torque_gain"
     assert gain.value == pytest.approx(1.0 / 1.01 - 1.0, abs=4.0 * gain.sigma)
     assert gain.sigma < 0.1 * SHARE
     assert float(np.max(np.abs(found.value - true) / found.sigma)) < 4.5
-    without = refine_runs(Run.of_cycles(declared(arm, 0.0), wrong))
+    without = refine_runs(Run.of_cycles(with_gain_sigma(arm, 0.0), wrong))
     assert float(np.max(np.abs(without.value - true) / without.sigma)) > 10.0
 
 
@@ -198,7 +192,7 @@ def test_a_refinement_on_board_finds_the_gain(cycles: Cycles) -> None:
     arm, true = _noisy_torques()
     wrong = _with_noise(reported(cycles, 1.0, 1.01))
     for sigma in (SHARE, 0.0):
-        known = declared(arm, sigma)
+        known = with_gain_sigma(arm, sigma)
         flight, refiner = Flight(known), OnboardRefiner(known)
         flight.cycles(wrong)
         refiner.start(flight)
@@ -215,6 +209,6 @@ def test_a_friction_that_no_column_has_is_doubted_though_its_residuals_are_small
         hidden = replace(model, effects=(effect("motor_coulomb", arm.joints[1].name, value),) if value else ())
         run = trajectory_of(arm, hidden, scenario, seeds=[0], noise=True).cycles(0)
         for sigma in (0.0, SHARE):
-            found = told(declared(arm, sigma), run)
+            found = told(with_gain_sigma(arm, sigma), run)
             assert (found.validity, found.reason) == (("doubtful", UNCLOSED) if value else ("valid", ""))
             assert found.cluster < 20.0
