@@ -4,8 +4,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
-SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.[ch] tests/bench/*.c tests/upset/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
+SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/* include/zygos/priv/*) tools/build_native.py
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h include/zygos/priv/*.h tests/fuzz/*.[ch] tests/bench/*.c tests/upset/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
 export CFLAGS += -Werror
@@ -17,7 +17,7 @@ PREFIX ?= /usr/local
 LIBRARY := $(BUILD)/libzygos.a
 NODE := $(BUILD)/zygos-node
 OBJECTS := $(patsubst c/%.c,$(BUILD)/objects/%.o,$(wildcard c/*.c))
-HEADERS := $(notdir $(wildcard include/zygos/*.h))
+HEADERS := $(patsubst include/zygos/%,%,$(wildcard include/zygos/*.h include/zygos/priv/*.h))
 DATABASES := $(notdir $(wildcard include/zygos/*.dbc))
 PACKAGES := zygos.pc zygosConfig.cmake zygosConfigVersion.cmake
 # What sizes the structs goes on to those who link, wherever it was written.
@@ -79,8 +79,9 @@ $(PACKAGES:%=$(BUILD)/%): $(BUILD)/%: tools/package/%.in include/zygos/types.h $
 
 install: export TO = $(DESTDIR)$(PREFIX)
 install: $(LIBRARY) $(PACKAGES:%=$(BUILD)/%) ## library, headers, DBC, pkg-config and CMake files (PREFIX=/usr/local DESTDIR=)
-	install -d "$$TO/include/zygos" "$$TO/lib/cmake/zygos" "$$TO/lib/pkgconfig" "$$TO/share/zygos"
-	install -m 644 $(HEADERS:%=include/zygos/%) "$$TO/include/zygos"
+	install -d "$$TO/include/zygos/priv" "$$TO/lib/cmake/zygos" "$$TO/lib/pkgconfig" "$$TO/share/zygos"
+	install -m 644 include/zygos/*.h "$$TO/include/zygos"
+	install -m 644 include/zygos/priv/*.h "$$TO/include/zygos/priv"
 	install -m 644 $(DATABASES:%=include/zygos/%) "$$TO/share/zygos"
 	install -m 644 $(LIBRARY) "$$TO/lib"
 	install -m 644 $(BUILD)/zygos.pc "$$TO/lib/pkgconfig"
@@ -97,11 +98,11 @@ uninstall: export TO = $(DESTDIR)$(PREFIX)
 uninstall: ## remove what install and install-node put there (same PREFIX and DESTDIR)
 	cd "$$TO" && rm -f $(HEADERS:%=include/zygos/%) $(DATABASES:%=share/zygos/%) lib/libzygos.a lib/pkgconfig/zygos.pc \
 		bin/zygos-node lib/systemd/system/$(UNIT) lib/cmake/zygos/zygosConfig.cmake lib/cmake/zygos/zygosConfigVersion.cmake
-	cd "$$TO" && for folder in include/zygos share/zygos lib/cmake/zygos; do rmdir $$folder 2>/dev/null || true; done
+	cd "$$TO" && for folder in include/zygos/priv include/zygos share/zygos lib/cmake/zygos; do rmdir $$folder 2>/dev/null || true; done
 
 node: $(NODE) ## build build/zygos-node, the flight node for SocketCAN (docs/node.md)
 
-$(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/zygos/*.h)
+$(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/zygos/*.h include/zygos/priv/*.h)
 	$(COMPILE) -D_GNU_SOURCE -Ic/ports/telemetry $(filter %.c,$^) $(LIBRARY) -lm -o $@.partial
 	mv $@.partial $@
 

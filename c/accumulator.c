@@ -1,4 +1,4 @@
-#include "zygos/accumulator.h"
+#include "zygos/priv/accumulator.h"
 
 #include <string.h>
 

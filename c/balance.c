@@ -1,6 +1,6 @@
-#include "zygos/balance.h"
+#include "zygos/priv/balance.h"
 
-#include "zygos/reduction.h"
+#include "zygos/priv/reduction.h"
 #include "zygos/wire.h"
 
 #include <string.h>

@@ -1,6 +1,6 @@
-#include "zygos/solver.h"
+#include "zygos/priv/solver.h"
 
-#include "zygos/reduction.h"
+#include "zygos/priv/reduction.h"
 
 #include <stddef.h>
 

@@ -1,6 +1,6 @@
-#include "zygos/cycle.h"
+#include "zygos/priv/cycle.h"
 
-#include "zygos/gram.h"
+#include "zygos/priv/gram.h"
 
 #include <string.h>
 
@@ -108,7 +108,7 @@ void zygos_receiver_resume(zygos_receiver_t *self)
     self->status.spoiled = 1;
 }
 
-/* zygos_step() reports a number that cannot be. */
+/* zygos_arm_step() reports a number that cannot be. */
 static uint32_t joints_of(const zygos_config_t *config)
 {
     return (config->joints <= (uint32_t)ZYGOS_MAX_JOINTS) ? config->joints : 0u;

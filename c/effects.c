@@ -1,4 +1,4 @@
-#include "zygos/effects.h"
+#include "zygos/priv/effects.h"
 
 _Static_assert((uint32_t)ZYGOS_TORQUE_GAIN + 1u == ZYGOS_EFFECT_KINDS, "the last of the kinds");
 

@@ -1,4 +1,4 @@
-#include "zygos/gram.h"
+#include "zygos/priv/gram.h"
 
 #include <string.h>
 

@@ -1,6 +1,6 @@
-#include "zygos/guard.h"
+#include "zygos/priv/guard.h"
 
-#include "zygos/gram.h"
+#include "zygos/priv/gram.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -328,7 +328,7 @@ static uint32_t motor_places(const zygos_column_map_t *column_map, const zygos_i
 {
     for (uint32_t c = 0; c < columns->count[i]; c++) {
         const uint32_t column = (c < 3u) ? column_map->joint[i] + c : column_map->effects + columns->effect[i][c - 3u];
-        /* Every column has a parameter, and zygos_scrub() reports a place that cannot be. */
+        /* Every column has a parameter, and zygos_arm_scrub() reports a place that cannot be. */
         place[c] = (column_map->place[column] < (uint32_t)ZYGOS_MAX_PARAMETERS) ? column_map->place[column] : 0u;
     }
     return columns->count[i];

@@ -1,4 +1,4 @@
-#include "zygos/impulse.h"
+#include "zygos/priv/impulse.h"
 
 #include <string.h>
 

@@ -1,13 +1,13 @@
-#include "zygos/zygos.h"
+#include "zygos/priv/arm.h"
 
 #include <stddef.h>
 
-int zygos_solve_in_place(zygos_t *self, zygos_solver_t *solver, zygos_estimate_t *out)
+int zygos_arm_solve(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t *out)
 {
     if ((solver == NULL) || (out == NULL)) {
         return ZYGOS_E_NULL;
     }
-    const int ended = zygos_end_arcs(self);
+    const int ended = zygos_arm_end_arcs(self);
     if (ended < 0) {
         return ended;
     }

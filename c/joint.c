@@ -1,4 +1,4 @@
-#include "zygos/joint.h"
+#include "zygos/priv/joint.h"
 
 #include <string.h>
 

@@ -1,7 +1,7 @@
-#include "zygos/jointsums.h"
+#include "zygos/priv/jointsums.h"
 
-#include "zygos/gram.h"
-#include "zygos/reduction.h"
+#include "zygos/priv/gram.h"
+#include "zygos/priv/reduction.h"
 
 #include <string.h>
 
@@ -453,7 +453,8 @@ static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, co
     for (uint32_t i = row->joint + 1u; i < config->joints; i++) {
         if (config->joint[i].rigid == 0) {
             const uint32_t known = column_map->place[column_map->joint[i]];
-            const uint32_t place = (known < self->width) ? known : 0u; /* zygos_scrub() reports one that cannot be */
+            const uint32_t place =
+                (known < self->width) ? known : 0u; /* zygos_arm_scrub() reports one that cannot be */
             const double square = weight * weight * self->rotor_variance[i] * rotor[i] * rotor[i];
             noise->gram[zygos_gram_entries(place + 1u) - 1u] += square;
             noise->sum[place] += square;

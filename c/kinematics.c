@@ -1,4 +1,4 @@
-#include "zygos/kinematics.h"
+#include "zygos/priv/kinematics.h"
 
 #include <string.h>
 

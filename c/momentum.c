@@ -1,4 +1,4 @@
-#include "zygos/momentum.h"
+#include "zygos/priv/momentum.h"
 
 #include <string.h>
 

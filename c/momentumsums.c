@@ -1,6 +1,6 @@
-#include "zygos/momentumsums.h"
+#include "zygos/priv/momentumsums.h"
 
-#include "zygos/gram.h"
+#include "zygos/priv/gram.h"
 
 #include <string.h>
 

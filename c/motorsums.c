@@ -1,6 +1,6 @@
-#include "zygos/motorsums.h"
+#include "zygos/priv/motorsums.h"
 
-#include "zygos/gram.h"
+#include "zygos/priv/gram.h"
 
 #include <string.h>
 

@@ -1,7 +1,7 @@
-#include "zygos/noise.h"
+#include "zygos/priv/noise.h"
 
-#include "zygos/gram.h"
-#include "zygos/reduction.h"
+#include "zygos/priv/gram.h"
+#include "zygos/priv/reduction.h"
 
 #include <stddef.h>
 #include <string.h>

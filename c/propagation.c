@@ -1,4 +1,4 @@
-#include "zygos/propagation.h"
+#include "zygos/priv/propagation.h"
 
 #include <string.h>
 

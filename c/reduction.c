@@ -1,4 +1,4 @@
-#include "zygos/reduction.h"
+#include "zygos/priv/reduction.h"
 
 #include <string.h>
 

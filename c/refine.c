@@ -1,7 +1,7 @@
 #include "zygos/refine.h"
 
-#include "zygos/gram.h"
-#include "zygos/zygos.h"
+#include "zygos/priv/arm.h"
+#include "zygos/priv/gram.h"
 
 #include <stddef.h>
 #include <string.h>

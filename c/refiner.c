@@ -1,4 +1,4 @@
-#include "zygos/refiner.h"
+#include "zygos/priv/refiner.h"
 
 #include <string.h>
 

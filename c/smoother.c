@@ -1,4 +1,4 @@
-#include "zygos/smoother.h"
+#include "zygos/priv/smoother.h"
 
 #include <string.h>
 

@@ -3,7 +3,7 @@
 #include <stddef.h>
 #include <string.h>
 
-#include "zygos/zygos.h"
+#include "zygos/priv/arm.h"
 
 /* As of PNG: a transfer that strips the eighth bit or translates line ends spoils it. */
 static const uint8_t magic[8] = { 0x89, 'z', 'y', 'g', 'o', 's', '\r', '\n' };
@@ -76,7 +76,7 @@ static uint32_t size_of(uint32_t kind)
     if (kind == ZYGOS_SNAPSHOT_CONFIG) {
         return (uint32_t)sizeof(zygos_config_t);
     }
-    return (kind == ZYGOS_SNAPSHOT_STATE) ? (uint32_t)sizeof(zygos_t) : 0u;
+    return (kind == ZYGOS_SNAPSHOT_STATE) ? (uint32_t)sizeof(zygos_arm_t) : 0u;
 }
 
 int zygos_snapshot_seal(uint32_t kind, const void *image, uint8_t *head)

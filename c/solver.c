@@ -1,6 +1,6 @@
-#include "zygos/solver.h"
+#include "zygos/priv/solver.h"
 
-#include "zygos/reduction.h"
+#include "zygos/priv/reduction.h"
 
 #include <string.h>
 
@@ -1958,7 +1958,7 @@ static zygos_solver_t *solver_of(zygos_work_t *work)
     return solver;
 }
 
-int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
+int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out)
 {
     if ((work == NULL) || (out == NULL)) {
         return ZYGOS_E_NULL;

@@ -65,9 +65,10 @@ def headers() -> str:
     listed: list[str] = []
 
     def visit(name: str) -> None:
-        text = re.sub(r"//.*|/\*.*?\*/", "", (ROOT / "include" / "zygos" / name).read_text())
-        for included in re.findall(r'^#include "(\w+\.h)"$', text, re.M):
-            visit(included)
+        path = (ROOT / "include" / "zygos" / name).resolve()
+        text = re.sub(r"//.*|/\*.*?\*/", "", path.read_text())
+        for included in re.findall(r'^#include "(.+\.h)"$', text, re.M):
+            visit(str(path.parent / included))
         text = "\n".join(line.rstrip() for line in text.splitlines() if line.strip() and "#include" not in line)
         if text not in listed:
             listed.append(text)

@@ -10,7 +10,7 @@
 
 enum kind { TELEMETRY_ESTIMATE = 0, TELEMETRY_SIGMA = 1, TELEMETRY_VERDICT = 3 }; /* as in zygos.dbc */
 
-static zygos_t arm;               /* belongs to flight_task() */
+static zygos_arm_t arm;           /* belongs to flight_task() */
 static zygos_work_t work;         /* changes hands by work_is_full */
 static zygos_estimate_t estimate; /* belongs to flight_solve(), as does what is learned; while no work is full, to
                                     flight_task() */
@@ -34,11 +34,11 @@ int flight_start(void)
     uint8_t head[ZYGOS_SNAPSHOT_HEAD];
     const uint32_t length = port_load(head, &arm, sizeof arm);
     if ((zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, length) == 1) &&
-        (zygos_check(&arm, &arm_config, &work) == 1) && (zygos_resume(&arm, &arm_config) == 1)) {
+        (zygos_arm_check(&arm, &arm_config, &work) == 1) && (zygos_arm_resume(&arm, &arm_config) == 1)) {
         taken_at = arm.cycles;
         return 2;
     }
-    return zygos_init(&arm, &arm_config); /* over whatever was read */
+    return zygos_arm_init(&arm, &arm_config); /* over whatever was read */
 }
 
 int flight_store(void)
@@ -46,7 +46,7 @@ int flight_store(void)
     /* Where power may fail while this writes, keep two places and write them in turn: the CRC tells a half-written one.
        A CRC also fits what memory errors have changed: what is stored already is then better. */
     uint8_t head[ZYGOS_SNAPSHOT_HEAD];
-    return (zygos_check(&arm, &arm_config, &work) == 1) &&
+    return (zygos_arm_check(&arm, &arm_config, &work) == 1) &&
            (zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1) &&
            (port_save(head, &arm, sizeof arm) == sizeof head + sizeof arm);
 }
@@ -72,7 +72,7 @@ static void own_frame(const zygos_frame_t *frame)
 {
     if ((frame->id == FLIGHT_PAYLOAD_CHANGED) && (frame->flags == 0u)) {
         /* Rotors, springs and dampers are as they were, and faults are counted on. */
-        (void)zygos_restart(&arm, ZYGOS_KEEP_FAULTS | ZYGOS_KEEP_JOINTS);
+        (void)zygos_arm_restart(&arm, ZYGOS_KEEP_FAULTS | ZYGOS_KEEP_JOINTS);
         const uint32_t times = atomic_load_explicit(&payload, memory_order_relaxed);
         atomic_store_explicit(&payload, times + 1u, memory_order_release);
     }
@@ -84,8 +84,8 @@ static void take_when_due(void)
         return;
     }
     taken_at = arm.cycles;
-    (void)zygos_adopt(&arm, &estimate); /* the solver is idle; what it found last judges the arcs to come */
-    zygos_take(&arm, &work);
+    (void)zygos_arm_adopt(&arm, &estimate); /* the solver is idle; what it found last judges the arcs to come */
+    zygos_arm_take(&arm, &work);
     counter_of_work = (uint8_t)(arm.receiver.assembly.counter % 16u);
     payload_of_work = atomic_load_explicit(&payload, memory_order_relaxed);
     atomic_store_explicit(&work_is_full, 1u, memory_order_release);
@@ -95,8 +95,8 @@ static void take_when_due(void)
    ring is ours, so that no frame is received meanwhile. */
 static void heal(void)
 {
-    if ((zygos_restart(&arm, ZYGOS_KEEP_FAULTS) != 1) || (zygos_check(&arm, &arm_config, &work) != 1)) {
-        (void)zygos_init(&arm, &arm_config);
+    if ((zygos_arm_restart(&arm, ZYGOS_KEEP_FAULTS) != 1) || (zygos_arm_check(&arm, &arm_config, &work) != 1)) {
+        (void)zygos_arm_init(&arm, &arm_config);
         taken_at = 0;
     }
 }
@@ -110,17 +110,17 @@ void flight_task(void)
     }
     uint32_t tail = atomic_load_explicit(&ring_tail, memory_order_relaxed);
     while (tail != atomic_load_explicit(&ring_head, memory_order_acquire)) {
-        if (zygos_frame(&arm, &ring[tail % RING]) == ZYGOS_FOREIGN) {
+        if (zygos_arm_frame(&arm, &ring[tail % RING]) == ZYGOS_FOREIGN) {
             own_frame(&ring[tail % RING]);
         }
         tail++;
         atomic_store_explicit(&ring_tail, tail, memory_order_release);
-        int stepped = zygos_step(&arm);
+        int stepped = zygos_arm_step(&arm);
         while (stepped == 1) {
             take_when_due();
-            stepped = zygos_step(&arm);
+            stepped = zygos_arm_step(&arm);
         }
-        if ((stepped < 0) && (zygos_scrub(&arm, &arm_config) < 0)) { /* memory was changed */
+        if ((stepped < 0) && (zygos_arm_scrub(&arm, &arm_config) < 0)) { /* memory was changed */
             heal();
         }
     }
@@ -174,7 +174,7 @@ const zygos_estimate_t *flight_solve(void)
     }
     const uint32_t of = payload_of_work;
     estimate_counter = counter_of_work;
-    (void)zygos_solve(&work, &estimate);
+    (void)zygos_work_solve(&work, &estimate);
     atomic_store_explicit(&work_is_full, 0u, memory_order_release);
     if (of != atomic_load_explicit(&payload, memory_order_acquire)) {
         return NULL; /* the payload changed meanwhile: this is another arm's */

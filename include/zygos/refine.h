@@ -1,11 +1,11 @@
 /// zygos/refine.h: the filter of refiner.h as a task on board, in slices of bounded work.
 ///
-/// It begins with a valid estimate of zygos_solve() and refines it with every further cycle:
+/// It begins with a valid estimate of zygos_work_solve() and refines it with every further cycle:
 ///
-///     static zygos_refine_t fine;                           // apart from zygos_t: who does not refine needs none
+///     static zygos_refine_t fine;                           // apart from zygos_arm_t: who does not refine needs none
 ///     zygos_refine_init(&fine, &arm.config, &settings);     // once
 ///     zygos_refine_start(&fine, &arm.config, &estimate, NULL);  // with a valid estimate; again after a failure
-///     zygos_refine_cycle(&fine, zygos_receiver_front(&arm.receiver));  // before each zygos_step(), in its task
+///     zygos_refine_cycle(&fine, zygos_receiver_front(&arm.receiver));  // before each zygos_arm_step(), in its task
 ///     while (zygos_refine_step(&fine, &arm.config) == 1) { }  // any task, at any priority: one slice a call
 ///     zygos_refine_judge(&fine, &arm.config, &estimate, &refined);  // the same task, with each new estimate
 ///
@@ -19,9 +19,9 @@
 #ifndef ZYGOS_REFINE_H
 #define ZYGOS_REFINE_H
 
-#include "cycle.h"
-#include "refiner.h"
-#include "solver.h"
+#include "estimate.h"
+#include "priv/cycle.h"
+#include "priv/refiner.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -178,10 +178,10 @@ typedef struct {
 int zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_t *config);
 
 /// Prepares the task. *config must stay as it is, also where the other functions are given a copy: they compare it.
-/// Returns 1, or an enum zygos_error, in which case *self cannot be used: ZYGOS_E_NULL; what zygos_init() returns for
-/// the configuration; ZYGOS_E_VALUE if a joint is rigid, a setting is out of range, or the gyro does not latch at SYNC;
-/// or ZYGOS_E_TORQUE_LAW if torques are sampled. Call it while no other function is running on *self. Cost: one memset,
-/// and the constants of the filter.
+/// Returns 1, or an enum zygos_error, in which case *self cannot be used: ZYGOS_E_NULL; what zygos_arm_init() returns
+/// for the configuration; ZYGOS_E_VALUE if a joint is rigid, a setting is out of range, or the gyro does not latch at
+/// SYNC; or ZYGOS_E_TORQUE_LAW if torques are sampled. Call it while no other function is running on *self. Cost: one
+/// memset, and the constants of the filter.
 int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const zygos_refine_settings_t *settings);
 
 /// Begins with an estimate: twice its standard deviations and 0.5 % of the sizes, at most about 1 %. prior: p values
@@ -206,14 +206,14 @@ int zygos_refine_cycle(zygos_refine_t *self, const zygos_cycle_t *cycle);
 /// the queue is not used, and counted. Cost: the largest slice is one call of zygos_propagation_slopes().
 int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config);
 
-/// Finds and repairs what memory errors have changed in *self, as zygos_scrub() does for zygos_t. *config is the
-/// caller's own configuration. Call it in the task of zygos_refine_step(), while zygos_refine_cycle() is not running.
-/// A flipped bit of the settings is turned back, and what follows from them and from the configuration is computed
-/// again; then, or where counts, places, estimate, sums or covariance were changed, the refinement is abandoned and
-/// counted. Cycles that wait are dropped where the places of the queue were changed. Memory that nothing has changed is
-/// left as it is. Returns 0 when nothing was found; bits of enum zygos_scrubbed (ZYGOS_SCRUBBED_CONFIG: the settings);
-/// ZYGOS_E_NULL; ZYGOS_E_ORDER when zygos_refine_init() has not succeeded on *self; ZYGOS_E_CONFIG when *config is not
-/// the configuration of zygos_refine_init(); or ZYGOS_E_STATE when the settings cannot be repaired: call
+/// Finds and repairs what memory errors have changed in *self, as zygos_arm_scrub() does for zygos_arm_t. *config is
+/// the caller's own configuration. Call it in the task of zygos_refine_step(), while zygos_refine_cycle() is not
+/// running. A flipped bit of the settings is turned back, and what follows from them and from the configuration is
+/// computed again; then, or where counts, places, estimate, sums or covariance were changed, the refinement is
+/// abandoned and counted. Cycles that wait are dropped where the places of the queue were changed. Memory that nothing
+/// has changed is left as it is. Returns 0 when nothing was found; bits of enum zygos_scrubbed (ZYGOS_SCRUBBED_CONFIG:
+/// the settings); ZYGOS_E_NULL; ZYGOS_E_ORDER when zygos_refine_init() has not succeeded on *self; ZYGOS_E_CONFIG when
+/// *config is not the configuration of zygos_refine_init(); or ZYGOS_E_STATE when the settings cannot be repaired: call
 /// zygos_refine_init(). Cost: one pass over *self without its scratch; after a repair, also that of
 /// zygos_refine_init(), and with the settings a pass over them for each of their bits.
 int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config);

@@ -1,17 +1,18 @@
 /// zygos/snapshot.h: stores a configuration or a state, and checks it before it is used again.
 ///
-/// A snapshot is a head of ZYGOS_SNAPSHOT_HEAD bytes, followed by the memory of a zygos_config_t or a zygos_t, the
+/// A snapshot is a head of ZYGOS_SNAPSHOT_HEAD bytes, followed by the memory of a zygos_config_t or a zygos_arm_t, the
 /// image. The head contains the kind of the image, its memory layout and byte order, and a CRC-32C over all of it;
 /// docs/snapshot.md has the format. The CRC detects accidental errors only: anybody can compute one, and errors that
-/// were in memory before are sealed with it. Therefore zygos_init() and zygos_resume() check what they are given.
+/// were in memory before are sealed with it. Therefore zygos_arm_init() and zygos_arm_resume() check what they are
+/// given.
 ///
-///     zygos_check(&arm, &config, &work);                                 // zygos.h: never seal what is corrupt
-///     zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head);             // in the task of zygos_step(); then store
-///     both
+///     zygos_arm_check(&arm, &config, &work);                                 // zygos.h: never seal what is corrupt
+///     zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head);             // in the task of zygos_arm_step(); then
+///     store both
 ///     ...
 ///     zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, length);    // when both have been read back
-///     zygos_check(&arm, &config, &work);
-///     zygos_resume(&arm, &config);
+///     zygos_arm_check(&arm, &config, &work);
+///     zygos_arm_resume(&arm, &config);
 ///
 /// zygos_snapshot_check() may also be used at any time to check that a configuration in memory is unchanged.
 
@@ -32,12 +33,12 @@ extern "C" {
 /// The content of a snapshot.
 enum zygos_snapshot_kind {
     ZYGOS_SNAPSHOT_CONFIG = 1, ///< The image is a zygos_config_t.
-    ZYGOS_SNAPSHOT_STATE = 2   ///< The image is a zygos_t.
+    ZYGOS_SNAPSHOT_STATE = 2   ///< The image is a zygos_arm_t.
 };
 
 /// Writes the head of an image into head[ZYGOS_SNAPSHOT_HEAD]. kind: enum zygos_snapshot_kind. For a state, call it in
-/// the task of zygos_step(), while no frame is being received. Returns 1, ZYGOS_E_NULL or ZYGOS_E_KIND. Cost: two table
-/// look-ups for each byte of the image.
+/// the task of zygos_arm_step(), while no frame is being received. Returns 1, ZYGOS_E_NULL or ZYGOS_E_KIND. Cost: two
+/// table look-ups for each byte of the image.
 int zygos_snapshot_seal(uint32_t kind, const void *image, uint8_t *head);
 
 /// Checks a snapshot that was read back: length is the number of bytes, of which the first ZYGOS_SNAPSHOT_HEAD are in

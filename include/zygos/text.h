@@ -32,7 +32,7 @@ const char *zygos_channel_text(uint32_t channel);
 /// Text of why refined values are not published, enum zygos_refine_reason.
 const char *zygos_refine_text(uint32_t reason);
 
-/// Texts of enum zygos_reception, which zygos_frame() returns, of enum zygos_message and of enum zygos_wire_fault.
+/// Texts of enum zygos_reception, which zygos_arm_frame() returns, of enum zygos_message and of enum zygos_wire_fault.
 const char *zygos_reception_text(uint32_t reception);
 const char *zygos_message_text(uint32_t message);
 const char *zygos_wire_fault_text(uint32_t fault);

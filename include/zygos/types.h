@@ -47,8 +47,8 @@ extern "C" {
 /// The length of an array of places of blocks: whole words of eight bytes.
 #define ZYGOS_ORDER_PLACES ((ZYGOS_MAX_BLOCKS + 7) / 8 * 8)
 
-/// The number of complete cycles that may wait between zygos_frame() and zygos_step(), including the one that
-/// zygos_step() processes.
+/// The number of complete cycles that may wait between zygos_arm_frame() and zygos_arm_step(), including the one that
+/// zygos_arm_step() processes.
 #ifndef ZYGOS_CYCLE_QUEUE
 #define ZYGOS_CYCLE_QUEUE 8
 #endif
@@ -238,7 +238,7 @@ static const unsigned char *const zygos_capacities_used ZYGOS_KEPT = &ZYGOS_CAPA
 #endif
 
 /* A reading that is not a number must be seen, and sums must be added in the order that is written. Compilers tell some
-   of the flags that break this; zygos_init() finds the others. */
+   of the flags that break this; zygos_arm_init() finds the others. */
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
 #error "zygos needs IEEE arithmetic; remedy: compile without -ffast-math and -ffinite-math-only"
 #endif
@@ -279,8 +279,8 @@ enum zygos_error {
                           ///< imu_to_base is not in its range.
     ZYGOS_E_ARC = -11,    ///< arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS,
                           ///< joint_row_cycles is odd or too short, or this build has no room for such rows.
-    ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
-    ZYGOS_E_KEEP = -13,   ///< zygos_restart() was given an unknown bit, or there are no motor rows to keep.
+    ZYGOS_E_ORDER = -12,  ///< zygos_arm_init() has not succeeded on this struct.
+    ZYGOS_E_KEEP = -13,   ///< zygos_arm_restart() was given an unknown bit, or there are no motor rows to keep.
     ZYGOS_E_EFFECT = -14, ///< There are too many effects, an effect has an unknown kind or joint or is listed twice, or
                           ///< an effect of a spring belongs to a rigid joint.
     ZYGOS_E_BASE = -15,   ///< base is no value of enum zygos_base, or gravity, gyro or momentum rows do not fit it.

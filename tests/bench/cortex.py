@@ -66,7 +66,7 @@ def write_symbols(elf: Path, path: Path) -> list[str]:
     for (address, (name, file)), end in zip(found.items(), ends, strict=True):
         room = _room(file)
         whole = name.removeprefix("zygos_")
-        phase = STAGES.index(whole) if name in ("zygos_frame", "zygos_step", "zygos_solve") else -1
+        phase = STAGES.index(whole) if name in ("zygos_arm_frame", "zygos_arm_step", "zygos_work_solve") else -1
         phase = STAGES.index("step") if name == "zygos_refine_step" else phase
         lines.append(f"{address:x} {end - address} {room} {phase} {int(name == 'driver_mark')}")
         names.append(f"{Path(file).stem or '???'}: {name}")

@@ -1,17 +1,17 @@
 /* Feeds recorded frames to the library and says of each cycle what it was, for a tool that counts its instructions.
    Reads run.bin: three uint32 (size of a configuration, size of a frame, number of frames), the configuration and the
    frames as they lie in memory. Writes places.bin: the sizes below, then a record for each cycle, all of uint32, then
-   rank and validity of a solution. What is solved is the state in state.bin, zygos_t as it lies in memory; where there
-   is none, it is the state behind the frames, which is stored in end.bin. */
+   rank and validity of a solution. What is solved is the state in state.bin, zygos_arm_t as it lies in memory; where
+   there is none, it is the state behind the frames, which is stored in end.bin. */
 
 #include "semihosting.h"
-#include "zygos/gram.h"
+#include "zygos/priv/gram.h"
 #include "zygos/zygos.h"
 
 int main(void);
 void driver_mark(void);
 
-static zygos_t arm;
+static zygos_arm_t arm;
 static zygos_work_t work;
 static zygos_estimate_t estimate;
 
@@ -29,7 +29,7 @@ static struct {
     .joint = (uint32_t)(sizeof(zygos_joint_t) + sizeof(zygos_joint_row_t) + sizeof(zygos_joint_sums_t)),
     .noise = (uint32_t)sizeof(zygos_noise_t),
     .accumulator = (uint32_t)sizeof(zygos_accumulator_t),
-    .whole = (uint32_t)sizeof(zygos_t),
+    .whole = (uint32_t)sizeof(zygos_arm_t),
     .solver = (uint32_t)(sizeof(zygos_work_t) + sizeof(zygos_estimate_t)),
 };
 
@@ -100,7 +100,7 @@ static place_t step(uint32_t frames)
     const uint32_t of_momentum = (arm.momentum_sums.task << 16u) | arm.momentum_sums.row;
     const uint32_t ending = arm.ending;
     const bool has_work = zygos_accumulator_has_work(sums);
-    (void)zygos_step(&arm);
+    (void)zygos_arm_step(&arm);
     driver_mark();
     const bool turned =
         (sums->task != tasks[0]) || (arm.motor_sums.task != tasks[1]) || (arm.momentum_sums.task != tasks[2]);
@@ -165,7 +165,7 @@ int main(void)
         return refuse("run.bin was written with other headers or capacities");
     }
     config.abi = ZYGOS_ABI;
-    if (zygos_init(&arm, &config) < 0) {
+    if (zygos_arm_init(&arm, &config) < 0) {
         return refuse("the configuration is refused");
     }
     sizes.parameters = arm.column_map.parameters;
@@ -176,7 +176,7 @@ int main(void)
         if (semihosting_read(run, &frame, sizeof frame) != sizeof frame) {
             return refuse("frames are missing");
         }
-        if (zygos_frame(&arm, &frame) != ZYGOS_ACCEPTED) {
+        if (zygos_arm_frame(&arm, &frame) != ZYGOS_ACCEPTED) {
             return refuse("a frame is not accepted");
         }
         frames++;
@@ -196,8 +196,8 @@ int main(void)
         written = written && (end >= 0) && (semihosting_write(end, &arm, sizeof arm) == sizeof arm) &&
                   (semihosting_close(end) == 0);
     }
-    zygos_take(&arm, &work);
-    (void)zygos_solve(&work, &estimate);
+    zygos_arm_take(&arm, &work);
+    (void)zygos_work_solve(&work, &estimate);
     const uint32_t found[2] = { estimate.rank, estimate.validity };
     written = (semihosting_write(places, found, sizeof found) == sizeof found) && written;
     return (written && (semihosting_close(places) == 0)) ? 0 : refuse("places.bin or end.bin cannot be written");

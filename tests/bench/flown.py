@@ -47,8 +47,8 @@ def motion(one: Configuration) -> Cycles:
 
 
 def write_state(one: Configuration, program: Path) -> None:
-    """Fly the motion here, in the driver for this machine, and write state.bin beside it. zygos_t is the same on every
-    target."""
+    """Fly the motion here, in the driver for this machine, and write state.bin beside it. zygos_arm_t is the same on
+    every target."""
     place = program.parent / "flown"
     write_run(one, motion(one), place / "run.bin")
     subprocess.run([program.resolve()], cwd=place, check=True)

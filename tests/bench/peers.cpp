@@ -36,7 +36,7 @@ template <typename Scalar, int options> struct Joints {
 using Model = pinocchio::ModelTpl<double, 0, Joints>;
 using Data = pinocchio::DataTpl<double, 0, Joints>;
 
-zygos_t arm;
+zygos_arm_t arm;
 std::vector<zygos_arm_state_t> states;
 Model model;
 std::vector<Eigen::VectorXd> positions, velocities;
@@ -147,7 +147,7 @@ int main(int count, char **argument)
     zygos_config_t config;
     in.read(reinterpret_cast<char *>(&config), sizeof config);
     config.abi = ZYGOS_ABI;
-    if (!in || zygos_init(&arm, &config) < 0) {
+    if (!in || zygos_arm_init(&arm, &config) < 0) {
         return 1;
     }
     pinocchio::JointIndex carrier =

@@ -17,7 +17,7 @@ from zygos.files.output import write_text
 ROW = re.compile(r"^(\| (\d) \| (\d) \| (\d+) \|).*$", re.M)
 """A row of the manual's table: joints, whether spatial, blocks."""
 STRUCTS = {
-    "arm": "zygos_t", "work": "zygos_work_t", "solver": "zygos_solver_t", "estimate": "zygos_estimate_t",
+    "arm": "zygos_arm_t", "work": "zygos_work_t", "solver": "zygos_solver_t", "estimate": "zygos_estimate_t",
     "energy": "zygos_accumulator_t",
     "motors": "zygos_motor_sums_t", "momentum": "zygos_momentum_sums_t", "joints": "zygos_joint_sums_t",
 }  # fmt: skip

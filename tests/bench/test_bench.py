@@ -166,7 +166,7 @@ def test_a_run_for_another_build_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
-    """zygos_t is the same on both targets, and its rooms fit into it. The solver has pointers."""
+    """zygos_arm_t is the same on both targets, and its rooms fit into it. The solver has pointers."""
     host, target = counted("x86-64", "paper, bare").sizes, counted("m7", "paper, bare").sizes
     assert {**host, "solver": 0} == {**target, "solver": 0}
     assert 0 < host["solver"] - target["solver"] < 120

@@ -41,14 +41,14 @@ CALLGRIND = """\
 desc: Trigger: --dump-after=driver_mark
 
 fl=(1) /x/c/zygos.c
-fn=(1) zygos_frame
+fn=(1) zygos_arm_frame
 1 10
 cfi=(2) /x/c/cycle.c
 cfn=(2) zygos_receiver_frame
 calls=1 5
 * 100
 
-fn=(3) zygos_step
+fn=(3) zygos_arm_step
 1 3
 cfn=(4) helper
 calls=1 2
@@ -91,7 +91,7 @@ fn=(6)
 desc: Trigger: Program termination
 
 fl=(6) /x/c/solver.c
-fn=(8) zygos_solve
+fn=(8) zygos_work_solve
 1 5
 cfi=(7) /x/libm.c
 cfn=(9) sqrt
@@ -140,8 +140,8 @@ def test_stages_of_a_callgrind_file(tmp_path: Path) -> None:
     assert (found["cycle"], found["wire"], found["smoother"]) == (40, 60, 200)
     assert tally.solve == 11
     assert {name: int(calls[0]) for name, calls in tally.functions.items()} == {
-        "zygos: zygos_frame": 10,
-        "zygos: zygos_step": 3,
+        "zygos: zygos_arm_frame": 10,
+        "zygos: zygos_arm_step": 3,
         "zygos: helper": 3,
         "zygos: aside": 4,
         "cycle: zygos_receiver_frame": 40,

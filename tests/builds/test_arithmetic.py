@@ -1,4 +1,4 @@
-"""Flags that break IEEE arithmetic: headers refuse what a compiler tells, and zygos_init() tests the arithmetic."""
+"""Flags that break IEEE arithmetic: headers refuse what a compiler tells, and zygos_arm_init() tests the arithmetic."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ CASES = [(compiler, flag) for compiler in ("gcc", "clang") for flag in UNSAFE] +
 PROGRAM = """
 #include <stdio.h>
 #include "zygos/zygos.h"
-static zygos_t arm;
+static zygos_arm_t arm;
 static zygos_config_t config;
-int main(void) { printf("%d", zygos_init(&arm, &config)); return 0; }
+int main(void) { printf("%d", zygos_arm_init(&arm, &config)); return 0; }
 """
 
 

@@ -23,7 +23,8 @@ from zygos.native import flight
 from zygos.runs.cycles import Cycles
 from zygos.simulation.scenario import load_scenario
 
-HEADERS = sorted((ROOT / "include" / "zygos").glob("*.h"))
+HEADERS = sorted((ROOT / "include" / "zygos").rglob("*.h"))
+
 CORTEX_M7 = "arm-none-eabi-gcc -mcpu=cortex-m7 -mthumb -mfpu=fpv5-d16 -mfloat-abi=hard -ffreestanding".split()
 OPTIONS = {"m7": "-mfpu=fpv5-d16", "m4f": "-mfpu=fpv4-sp-d16", "leon3": "-m32"}
 """By which a compiler for several processors chooses its own library."""
@@ -60,6 +61,11 @@ def test_the_manual_says_how_large_the_structs_are(tmp_path: Path) -> None:
                 ("docs/cost.md", "joints take"),
             ):
                 assert f"{words} {together / 1e6:.1f} MB" in (ROOT / page).read_text()
+
+
+def named(header: Path) -> str:
+    """As a program includes it, below `zygos/`."""
+    return str(header.relative_to(ROOT / "include" / "zygos"))
 
 
 @functools.cache
@@ -156,11 +162,11 @@ def test_refuses_to_compile_at_impossible_capacities(flag: str, tmp_path: Path) 
     assert "#error" in done.stderr
 
 
-@pytest.mark.parametrize("header", HEADERS, ids=lambda path: path.name)
+@pytest.mark.parametrize("header", HEADERS, ids=named)
 def test_each_header_stands_alone(header: Path, tmp_path: Path) -> None:
     warnings = ["-Wall", "-Wextra", "-pedantic", "-Werror"]
     unit = tmp_path / "unit.c"
-    unit.write_text(f'#include "zygos/{header.name}"\n#include "zygos/{header.name}"\n')
+    unit.write_text(f'#include "zygos/{named(header)}"\n#include "zygos/{named(header)}"\n')
     run([tool("gcc"), "-std=c11", *warnings, INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
     run([tool("g++"), "-std=c++17", "-x", "c++", *warnings, INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
 
@@ -168,7 +174,7 @@ def test_each_header_stands_alone(header: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("standard", ["11", "14", "17", "20"])
 def test_the_headers_are_sound_in_every_cpp(standard: str, tmp_path: Path) -> None:
     unit = tmp_path / "unit.cpp"
-    unit.write_text("".join(f'#include "zygos/{header.name}"\n' for header in HEADERS))
+    unit.write_text("".join(f'#include "zygos/{named(header)}"\n' for header in HEADERS))
     for compiler in ("g++", "clang++"):
         command = [tool(compiler), f"-std=c++{standard}", "-Wall", "-Wextra", "-pedantic", "-Werror", INCLUDE]
         run([*command, "-fsyntax-only", str(unit)], tmp_path)

@@ -102,7 +102,7 @@ CAPACITIES = [
 
 @pytest.mark.parametrize("capacities", CAPACITIES, ids=str)
 def test_the_memory_of_a_build_is_what_its_compiler_says(capacities: dict[str, int], tmp_path: Path) -> None:
-    source = '#include "zygos/zygos.h"\nchar configuration[sizeof(zygos_config_t)], state[sizeof(zygos_t)], '
+    source = '#include "zygos/zygos.h"\nchar configuration[sizeof(zygos_config_t)], state[sizeof(zygos_arm_t)], '
     source += "work[sizeof(zygos_work_t)], estimate[sizeof(zygos_estimate_t)];\n"
     (tmp_path / "sizes.c").write_text(source)
     flags = [f"-DZYGOS_{name}={value}" for name, value in capacities.items()]

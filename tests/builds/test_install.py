@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from build_support import PLANAR, ROOT, copied, flags_of, make, onboard, run, tool
 
-HEADERS = {path.name for path in (ROOT / "include" / "zygos").glob("*.h")}
+HEADERS = {str(path.relative_to(ROOT / "include" / "zygos")) for path in (ROOT / "include" / "zygos").rglob("*.h")}
 INSTALLED = {
     *(f"include/zygos/{name}" for name in HEADERS),
     "lib/libzygos.a",
@@ -34,7 +34,7 @@ PROGRAM = """
 #include <string.h>
 #include <zygos/zygos.h>
 
-static zygos_t arm;
+static zygos_arm_t arm;
 static zygos_work_t work;
 static zygos_estimate_t estimate;
 
@@ -57,15 +57,15 @@ int main(void)
     config.joint[0].axis[2] = 1.0;
     config.joint[0].gear_ratio = 50.0;
     config.joint[0].link_sign = config.joint[0].motor_sign = 1.0;
-    const int verdict = zygos_init(&arm, &config);
+    const int verdict = zygos_arm_init(&arm, &config);
     int used = 0;
     if (verdict == 1) {
         zygos_cycle_t cycle;
         memset(&cycle, 0, sizeof cycle);
         cycle.sync = 1;
-        used = zygos_cycle(&arm, &cycle);
-        zygos_take(&arm, &work);
-        (void)zygos_solve(&work, &estimate);
+        used = zygos_arm_cycle(&arm, &cycle);
+        zygos_arm_take(&arm, &work);
+        (void)zygos_work_solve(&work, &estimate);
     }
     printf("%d %d %d %d\\n", ZYGOS_MAX_JOINTS, verdict, used, (int)estimate.reason);
     return 0;

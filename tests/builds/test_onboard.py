@@ -157,7 +157,7 @@ def test_a_payload_starts_the_bodies_anew(program: Path, frames: NDArray[Any], a
     expected = Expected(arm)
     expected.frames(frames[:at])
     before = expected.flight.native.accumulator.accepted
-    assert lib.zygos_restart(expected.flight.native, lib.ZYGOS_KEEP_FAULTS | lib.ZYGOS_KEEP_JOINTS) == 1
+    assert lib.zygos_arm_restart(expected.flight.native, lib.ZYGOS_KEEP_FAULTS | lib.ZYGOS_KEEP_JOINTS) == 1
     assert before > 0
     assert expected.flight.native.accumulator.accepted == 0
     expected.taken_at = expected.flight.native.cycles - (700 - 600)
@@ -174,7 +174,7 @@ SOLVER = """
 static int calls;
 static double accepted[5]; /* instants in the sums that each was given */
 
-int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
+int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out)
 {
     static const uint32_t validity[] = { ZYGOS_PARTIAL, ZYGOS_DOUBTFUL, ZYGOS_REFUSED, ZYGOS_VALID, ZYGOS_VALID };
     memset(out, 0, sizeof *out);
@@ -238,7 +238,7 @@ def test_a_stored_state_goes_on(program: Path, frames: NDArray[Any], arm: Arm, t
     expected = Expected(arm)
     expected.frames(frames[:half])
     native = expected.flight.native
-    assert lib.zygos_resume(native, ffi.addressof(native, "config")) == 1
+    assert lib.zygos_arm_resume(native, ffi.addressof(native, "config")) == 1
     expected.taken_at, expected.known, expected.found = native.cycles, {}, {}
     expected.frames(frames[half:])
     assert len(expected.found) >= 2

@@ -88,7 +88,6 @@ int fsync(int fd)
     return next(fd);
 }
 
-
 int rename(const char *from, const char *to)
 {
     int (*next)(const char *, const char *) = (int (*)(const char *, const char *))dlsym(RTLD_NEXT, "rename");

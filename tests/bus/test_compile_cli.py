@@ -191,7 +191,7 @@ def _bytes_of(folder: Path, flags: Sequence[str], struct: str) -> list[int]:
     program = (
         '#include "zygos/zygos.h"\n#include <stdio.h>\n'
         'int main(void) { printf("%d %d %d %d", (int)sizeof(zygos_config_t), '
-        f"(int)sizeof(zygos_t), (int)sizeof(zygos_{struct}_t), (int)sizeof(zygos_estimate_t)); return 0; }}\n"
+        f"(int)sizeof(zygos_arm_t), (int)sizeof(zygos_{struct}_t), (int)sizeof(zygos_estimate_t)); return 0; }}\n"
     )
     (folder / "sizes.c").write_text(program)
     command = ["gcc", "-std=c11", *flags, f"-I{ROOT / 'include'}", str(folder / "sizes.c")]

@@ -27,7 +27,7 @@ def place_of(struct: str, *members: str | int) -> int:
     return int(ffi.offsetof(struct, *members))
 
 
-GRAM = place_of("zygos_t", "accumulator", "block", 0, "gram", 0)
+GRAM = place_of("zygos_arm_t", "accumulator", "block", 0, "gram", 0)
 """An entry of the sums that is far from 0: the square of the first column."""
 
 
@@ -74,7 +74,7 @@ def test_a_corrupt_sum_starts_the_estimate_over(
     assert values(heard, "verdict_validity")[-1] == 3.0
     flight = Flight(arm)
     hear(flight, frames[: syncs[450] + 1], 50)
-    assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
+    assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
     hear(flight, frames[syncs[450] + 1 :], 50, 451)
     assert saved(state) == image(flight)
     assert not any(n for name, n in counters.items() if name.startswith("fault_"))
@@ -135,11 +135,15 @@ def test_corrupt_memory_is_not_saved_at_the_end(
 @pytest.mark.parametrize(
     ("where", "bit", "word"),
     [
-        (place_of("zygos_t", "config", "joint", 1, "gear_ratio") + 6, 5, "the configuration is not what was compiled"),
-        (place_of("zygos_t", "config", "joints"), 0, "the configuration is not what was compiled"),
-        (place_of("zygos_t", "magic") + 3, 2, "repaired in place"),
-        (place_of("zygos_t", "motor_sums", "column_map", "count", 0), 1, "repaired in place"),
-        (place_of("zygos_t", "receiver", "queue", "head") + 2, 4, "sums or counts"),
+        (
+            place_of("zygos_arm_t", "config", "joint", 1, "gear_ratio") + 6,
+            5,
+            "the configuration is not what was compiled",
+        ),
+        (place_of("zygos_arm_t", "config", "joints"), 0, "the configuration is not what was compiled"),
+        (place_of("zygos_arm_t", "magic") + 3, 2, "repaired in place"),
+        (place_of("zygos_arm_t", "motor_sums", "column_map", "count", 0), 1, "repaired in place"),
+        (place_of("zygos_arm_t", "receiver", "queue", "head") + 2, 4, "sums or counts"),
     ],
     ids=["gear ratio", "joints", "magic", "columns of the motor rows", "place in the queue"],
 )

@@ -62,13 +62,13 @@ class Twin:
         syncs = 0
         receiver = ffi.addressof(self.flight.native, "receiver")
         for frame in frames:
-            lib.zygos_frame(self.flight.native, ffi.from_buffer("zygos_frame_t[]", frame.tobytes()))
+            lib.zygos_arm_frame(self.flight.native, ffi.from_buffer("zygos_frame_t[]", frame.tobytes()))
             stepped = 1
             while stepped == 1:
                 lib.zygos_refine_cycle(self.native, lib.zygos_receiver_front(receiver))
                 while lib.zygos_refine_step(self.native, self.config) == 1:
                     pass
-                stepped = lib.zygos_step(self.flight.native)
+                stepped = lib.zygos_arm_step(self.flight.native)
             if frame["id"] == SYNC:
                 if syncs % EVERY == 0:
                     self.rounds.append(self.judge())
@@ -221,7 +221,7 @@ def test_it_begins_again_after_a_failure(arm: Arm, config: Path, frames: Log) ->
 def test_it_begins_again_where_memory_was_changed(arm: Arm, config: Path, frames: Log) -> None:
     """A sum of the estimator is corrupt: nothing that was refined beside it is kept."""
     middle = np.flatnonzero(frames["id"] == SYNC)[420] + 1
-    entry = ffi.offsetof("zygos_t", "accumulator", "block", 0, "gram", 0)
+    entry = ffi.offsetof("zygos_arm_t", "accumulator", "block", 0, "gram", 0)
     with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
         node.send(frames[:middle])
         node.worked_off(421)

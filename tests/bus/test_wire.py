@@ -486,7 +486,7 @@ def flight() -> Flight:
 def give(flight: Flight, frame: Any) -> str | None:
     """Hands a frame over. Returns None when it was accepted, "foreign", or the one fault that was counted."""
     before = flight.faults
-    verdict = lib.zygos_frame(flight.native, frame)
+    verdict = lib.zygos_arm_frame(flight.native, frame)
     risen = [name for name, count in flight.faults.items() if count != before[name]]
     if verdict == lib.ZYGOS_REJECTED:
         (fault,) = risen

@@ -80,7 +80,7 @@ def test_what_stays_grows_with_the_arcs_beside_a_scatter_that_falls_with_them() 
     """Sums that have all faded to a ten thousandth have the same scatter, and count as so much fewer arcs."""
     flight, _, _ = flown_mission(*numbered(MINUTES, 0))
     state = flight.native
-    assert lib.zygos_end_arcs(state) == 1
+    assert lib.zygos_arm_end_arcs(state) == 1
     long = flight.estimate()
     fade = 1e-4
     lib.zygos_accumulator_forget(ffi.addressof(state, "accumulator"), fade)

@@ -6,7 +6,7 @@
 
 #include "traffic.h"
 
-static zygos_t arm;
+static zygos_arm_t arm;
 static zygos_work_t work;
 static zygos_estimate_t estimate;
 static slot_t slot[4 + 2 * ZYGOS_MAX_JOINTS];
@@ -53,7 +53,7 @@ static void damage(bytes_t *from, void *image, size_t size)
 
 static void work_off(void)
 {
-    for (uint32_t i = 0; (i < 2u * ZYGOS_CYCLE_QUEUE) && (zygos_step(&arm) == 1); i++) {
+    for (uint32_t i = 0; (i < 2u * ZYGOS_CYCLE_QUEUE) && (zygos_arm_step(&arm) == 1); i++) {
     }
 }
 
@@ -72,7 +72,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         damage(&bytes, &config, sizeof config);
     }
     random_state = 1; /* what follows depends on the input alone */
-    if (zygos_init(&arm, &config) != 1) {
+    if (zygos_arm_init(&arm, &config) != 1) {
         return 0;
     }
     /* A wild configuration that is taken may have other nodes; the frames are those of its joints at most. */
@@ -88,7 +88,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
                 for (uint32_t i = 0; i < n; i++) {
                     const zygos_record_t record = record_of(slot[i], cycle);
                     const zygos_frame_t frame = encode(&record, slot[i]);
-                    (void)zygos_frame(&arm, &frame);
+                    (void)zygos_arm_frame(&arm, &frame);
                 }
                 work_off();
             }
@@ -100,14 +100,14 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             take(&bytes, &record, sizeof record);
             zygos_frame_t frame;
             if (zygos_wire_encode(&record, at.message, at.node, &frame) == 1) {
-                (void)zygos_frame(&arm, &frame);
+                (void)zygos_arm_frame(&arm, &frame);
             }
             break;
         }
         case 2: { /* any bytes at all */
             zygos_frame_t frame;
             take(&bytes, &frame, sizeof frame);
-            const int verdict = zygos_frame(&arm, &frame);
+            const int verdict = zygos_arm_frame(&arm, &frame);
             check((verdict == ZYGOS_REJECTED) || (verdict == ZYGOS_ACCEPTED) || (verdict == ZYGOS_FOREIGN));
             break;
         }
@@ -116,18 +116,18 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             zygos_cycle_t decoded;
             memset(&decoded, 0, sizeof decoded);
             take(&bytes, &decoded, sizeof decoded);
-            (void)zygos_cycle(&arm, &decoded);
+            (void)zygos_arm_cycle(&arm, &decoded);
             break;
         }
         case 4:
-            zygos_take(&arm, &work);
-            if (zygos_solve(&work, &estimate) == 1) {
-                (void)zygos_adopt(&arm, &estimate);
+            zygos_arm_take(&arm, &work);
+            if (zygos_work_solve(&work, &estimate) == 1) {
+                (void)zygos_arm_adopt(&arm, &estimate);
             }
             break;
         case 5: {
             double deviation[ZYGOS_MAX_PARAMETERS];
-            zygos_take(&arm, &work);
+            zygos_arm_take(&arm, &work);
             damage(&bytes, &work, sizeof work);
             (void)zygos_detect_change(&work, &estimate, deviation);
             break;
@@ -137,13 +137,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             damage(&bytes, &arm, sizeof arm);
             check(zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1);
             check(zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, sizeof head + sizeof arm) == 1);
-            if (zygos_resume(&arm, &config) != 1) {
-                check(zygos_init(&arm, &config) == 1);
+            if (zygos_arm_resume(&arm, &config) != 1) {
+                check(zygos_arm_init(&arm, &config) == 1);
             }
             break;
         }
         default:
-            (void)zygos_restart(&arm, what >> 3);
+            (void)zygos_arm_restart(&arm, what >> 3);
             break;
         }
         work_off();

@@ -1,4 +1,4 @@
-/* Feeds valid, damaged and random frames to zygos_frame() and checks after each what it may have changed:
+/* Feeds valid, damaged and random frames to zygos_arm_frame() and checks after each what it may have changed:
  * a foreign frame nothing, a rejected one a single fault counter and the reception status.
  *
  * Usage: fuzz_frames SEED FRAMES JOINTS FINE. Prints the counts; status 1 and a message when a check failed.
@@ -16,8 +16,8 @@ static const char *const fault_names[] = {
 };
 _Static_assert(sizeof fault_names / sizeof fault_names[0] == FAULTS, "a fault counter has no name here");
 
-static zygos_t arm;
-static zygos_t before;
+static zygos_arm_t arm;
+static zygos_arm_t before;
 static zygos_work_t work;
 static zygos_estimate_t estimate;
 static uint64_t verdicts[3];
@@ -53,7 +53,7 @@ static uint32_t increments(const zygos_faults_t *now, const zygos_faults_t *then
 /* Hands one frame over and checks what it changed. `before` holds the state before it, and is kept so. */
 static int feed(const zygos_frame_t *frame)
 {
-    const int verdict = zygos_frame(&arm, frame);
+    const int verdict = zygos_arm_frame(&arm, frame);
     fed++;
     check((verdict >= 0) && (verdict <= 2), "the verdict is none", frame);
     verdicts[verdict]++;
@@ -74,7 +74,7 @@ static int feed(const zygos_frame_t *frame)
 
 static void work_off(void)
 {
-    while (zygos_step(&arm) == 1) {
+    while (zygos_arm_step(&arm) == 1) {
     }
     memcpy(&before, &arm, sizeof arm);
 }
@@ -82,8 +82,8 @@ static void work_off(void)
 static void start(uint32_t joints, uint32_t fine)
 {
     const zygos_config_t config = config_of(joints, fine);
-    if (zygos_init(&arm, &config) != 1) {
-        printf("zygos_init refuses the configuration\n");
+    if (zygos_arm_init(&arm, &config) != 1) {
+        printf("zygos_arm_init refuses the configuration\n");
         exit(1);
     }
     memcpy(&before, &arm, sizeof arm);
@@ -253,8 +253,8 @@ int main(int count, char **argument)
             work_off();
         }
         if (cycle % 4096u == 0) {
-            zygos_take(&arm, &work);
-            solved += (zygos_solve(&work, &estimate) >= 0) ? 1u : 0u;
+            zygos_arm_take(&arm, &work);
+            solved += (zygos_work_solve(&work, &estimate) >= 0) ? 1u : 0u;
             check(memcmp(&arm, &before, sizeof arm) == 0, "take or solve changed the arm", &(zygos_frame_t){ 0 });
         }
     }

@@ -1,6 +1,7 @@
 /* Stores states of an arm at work, changes them, seals them again, and goes on with them: whatever was in a file with a
- * good CRC, zygos_resume() refuses it and leaves it as it was, or all that follows stays within its memory, under the
- * sanitizers this is compiled with. The same of work that is changed before zygos_solve(), and of configurations.
+ * good CRC, zygos_arm_resume() refuses it and leaves it as it was, or all that follows stays within its memory, under
+ * the sanitizers this is compiled with. The same of work that is changed before zygos_work_solve(), and of
+ * configurations.
  *
  * Usage: fuzz_states SEED TRIES JOINTS. Prints counts; status 1 and a message when a check failed. */
 
@@ -14,10 +15,10 @@
 #define ROTOR_INERTIA 2e-3
 #define CODES_PER_RAD (1.0 / ZYGOS_ANGLE_UNIT)
 
-static zygos_t good[STATES];
+static zygos_arm_t good[STATES];
 static uint64_t good_cycle[STATES];
-static zygos_t arm;
-static zygos_t before;
+static zygos_arm_t arm;
+static zygos_arm_t before;
 static zygos_work_t work;
 static zygos_solver_t solver;
 static zygos_estimate_t estimate;
@@ -66,9 +67,9 @@ static void run(uint64_t from, uint64_t cycles)
         for (uint32_t i = 0; i < slot_count; i++) {
             const zygos_record_t record = motion_of(slot[i], cycle);
             const zygos_frame_t frame = encode(&record, slot[i]);
-            check(zygos_frame(&arm, &frame) >= 0, "a frame was refused");
+            check(zygos_arm_frame(&arm, &frame) >= 0, "a frame was refused");
         }
-        for (uint32_t i = 0; (i < 2u * ZYGOS_CYCLE_QUEUE) && (zygos_step(&arm) == 1); i++) {
+        for (uint32_t i = 0; (i < 2u * ZYGOS_CYCLE_QUEUE) && (zygos_arm_step(&arm) == 1); i++) {
         }
     }
 }
@@ -127,15 +128,15 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
 
 static uint32_t regions_of_state(region_t *out)
 {
-    uint32_t n = regions_of_sums(out, offsetof(zygos_t, accumulator), offsetof(zygos_t, motor_sums),
-                                 offsetof(zygos_t, momentum_sums));
-    out[n++] = (region_t){ 0, offsetof(zygos_t, config) };
-    out[n++] = (region_t){ offsetof(zygos_t, column_map), sizeof(zygos_column_map_t) };
-    out[n++] = (region_t){ offsetof(zygos_t, receiver), offsetof(zygos_receiver_t, queue.slot) };
-    out[n++] = (region_t){ offsetof(zygos_t, previous), sizeof(zygos_previous_cycle_t) };
-    out[n++] = (region_t){ offsetof(zygos_t, smoother), 16 };
-    out[n++] = (region_t){ offsetof(zygos_t, noise), sizeof(zygos_noise_t) };
-    out[n++] = (region_t){ offsetof(zygos_t, balance), 16 };
+    uint32_t n = regions_of_sums(out, offsetof(zygos_arm_t, accumulator), offsetof(zygos_arm_t, motor_sums),
+                                 offsetof(zygos_arm_t, momentum_sums));
+    out[n++] = (region_t){ 0, offsetof(zygos_arm_t, config) };
+    out[n++] = (region_t){ offsetof(zygos_arm_t, column_map), sizeof(zygos_column_map_t) };
+    out[n++] = (region_t){ offsetof(zygos_arm_t, receiver), offsetof(zygos_receiver_t, queue.slot) };
+    out[n++] = (region_t){ offsetof(zygos_arm_t, previous), sizeof(zygos_previous_cycle_t) };
+    out[n++] = (region_t){ offsetof(zygos_arm_t, smoother), 16 };
+    out[n++] = (region_t){ offsetof(zygos_arm_t, noise), sizeof(zygos_noise_t) };
+    out[n++] = (region_t){ offsetof(zygos_arm_t, balance), 16 };
     return n;
 }
 
@@ -228,7 +229,7 @@ static void forge(zygos_accumulator_t *sums, zygos_motor_sums_t *joints, zygos_m
 
 static void store_states(const zygos_config_t *config)
 {
-    check(zygos_init(&arm, config) == 1, "zygos_init refuses the configuration");
+    check(zygos_arm_init(&arm, config) == 1, "zygos_arm_init refuses the configuration");
     uint64_t cycle = 0;
     for (uint32_t k = 0; k < STATES; k++) {
         run(cycle, CYCLES_BETWEEN);
@@ -246,7 +247,7 @@ static void fly_on(uint64_t from, uint64_t cycles, const region_t *region, uint3
     run(from, cycles);
     if (below(2) == 0) {
         change(&arm, 0, region, regions);
-        check(zygos_scrub(&arm, config) >= 0, "not scrubbed");
+        check(zygos_arm_scrub(&arm, config) >= 0, "not scrubbed");
         run(from + cycles, cycles);
     }
 }
@@ -259,7 +260,7 @@ static size_t word_of(size_t size, const region_t *region, uint32_t regions)
 }
 
 /* The same bit of two words, some words, or all of *self but its magic number and, mostly, its configuration. */
-static void upset(zygos_t *self, const region_t *region, uint32_t regions)
+static void upset(zygos_arm_t *self, const region_t *region, uint32_t regions)
 {
     unsigned char *bytes = (unsigned char *)self;
     const uint32_t kind = below(8);
@@ -292,33 +293,33 @@ static bool misuse(uint64_t from, const zygos_config_t *config, const region_t *
     for (uint32_t times = below(4); times > 0; times--) {
         const uint32_t call = below(8);
         if (call == 0) {
-            (void)zygos_end_arcs(&arm);
+            (void)zygos_arm_end_arcs(&arm);
         } else if (call == 1) {
-            (void)zygos_restart(&arm, below(4));
+            (void)zygos_arm_restart(&arm, below(4));
         } else if (call == 2) {
-            (void)zygos_check(&arm, config, &work);
+            (void)zygos_arm_check(&arm, config, &work);
         } else if (call == 3) {
-            zygos_take(&arm, &work);
-            (void)zygos_solve(&work, &estimate);
+            zygos_arm_take(&arm, &work);
+            (void)zygos_work_solve(&work, &estimate);
         } else if (call == 4) {
-            (void)zygos_adopt(&arm, &estimate);
+            (void)zygos_arm_adopt(&arm, &estimate);
         } else if (call == 5) {
-            (void)zygos_resume(&arm, config);
+            (void)zygos_arm_resume(&arm, config);
         } else if (call == 6) {
-            (void)zygos_solve_in_place(&arm, &solver, &estimate);
+            (void)zygos_arm_solve(&arm, &solver, &estimate);
         } else {
             for (uint32_t i = 0; i < 3u * slot_count; i++) {
                 const zygos_record_t record = motion_of(slot[i % slot_count], from + i / slot_count);
                 const zygos_frame_t frame = encode(&record, slot[i % slot_count]);
-                (void)zygos_frame(&arm, &frame);
-                (void)zygos_step(&arm);
+                (void)zygos_arm_frame(&arm, &frame);
+                (void)zygos_arm_step(&arm);
             }
         }
     }
-    const int found = zygos_scrub(&arm, config);
+    const int found = zygos_arm_scrub(&arm, config);
     if (found >= 0) {
         run(from + 3u, 25u);
-        check(zygos_scrub(&arm, config) >= 0, "not scrubbed again");
+        check(zygos_arm_scrub(&arm, config) >= 0, "not scrubbed again");
     }
     return found >= 0;
 }
@@ -326,10 +327,10 @@ static bool misuse(uint64_t from, const zygos_config_t *config, const region_t *
 static int solve(void)
 {
     static double deviation[ZYGOS_MAX_PARAMETERS];
-    zygos_take(&arm, &work);
+    zygos_arm_take(&arm, &work);
     (void)zygos_detect_change(&work, &estimate, deviation);
-    zygos_take(&arm, &work);
-    return zygos_solve(&work, &estimate);
+    zygos_arm_take(&arm, &work);
+    return zygos_work_solve(&work, &estimate);
 }
 
 int main(int count, char **argument)
@@ -358,8 +359,9 @@ int main(int count, char **argument)
     const region_t of_config = { 0, sizeof(zygos_config_t) };
     const uint32_t state_regions = regions_of_state(of_state);
     const uint32_t work_regions = regions_of_work(of_work);
-    const uint32_t sums_regions = regions_of_sums(of_sums, offsetof(zygos_t, accumulator),
-                                                  offsetof(zygos_t, motor_sums), offsetof(zygos_t, momentum_sums));
+    const uint32_t sums_regions =
+        regions_of_sums(of_sums, offsetof(zygos_arm_t, accumulator), offsetof(zygos_arm_t, motor_sums),
+                        offsetof(zygos_arm_t, momentum_sums));
     uint64_t refused_state = 0;
     uint64_t refused_otherwise = 0;
     uint64_t resumed = 0;
@@ -380,7 +382,7 @@ int main(int count, char **argument)
         check(zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, sizeof head + sizeof arm) == 1,
               "not what was sealed");
         memcpy(&before, &arm, sizeof arm);
-        const int verdict = zygos_resume(&arm, &config);
+        const int verdict = zygos_arm_resume(&arm, &config);
         if (verdict < 0) {
             refused_state += (verdict == ZYGOS_E_STATE) ? 1u : 0u;
             refused_otherwise += (verdict == ZYGOS_E_STATE) ? 0u : 1u;
@@ -394,9 +396,9 @@ int main(int count, char **argument)
         arm = good[from];
         fly_on(good_cycle[from], (k % 8u == 0) ? 150u : 25u, of_sums, sums_regions, &config);
         (void)solve();
-        if (zygos_solve_in_place(&arm, &solver, &estimate) == 1) {
+        if (zygos_arm_solve(&arm, &solver, &estimate) == 1) {
             in_place++;
-            check(zygos_scrub(&arm, &config) >= 0, "not scrubbed behind a solution in place");
+            check(zygos_arm_scrub(&arm, &config) >= 0, "not scrubbed behind a solution in place");
         }
         run(good_cycle[from] + 500u, 25u);
         for (uint32_t times = 0; times < 4u; times++) {
@@ -405,17 +407,17 @@ int main(int count, char **argument)
         }
         zygos_config_t wild = config;
         change(&wild, sizeof wild, &of_config, 1);
-        if (zygos_init(&arm, &wild) == 1) {
+        if (zygos_arm_init(&arm, &wild) == 1) {
             configured++;
             run(0, (k % 8u == 0) ? 150u : 25u);
             (void)solve();
         }
-        zygos_take(&good[from], &work);
+        zygos_arm_take(&good[from], &work);
         change(&work, sizeof work, of_work, work_regions);
         if (k % 4u != 0) {
             forge(&work.accumulator, &work.motor_sums, &work.momentum_sums);
         }
-        values += (zygos_solve(&work, &estimate) == 1) ? 1u : 0u;
+        values += (zygos_work_solve(&work, &estimate) == 1) ? 1u : 0u;
         corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
     }
     printf("resumed %" PRIu64 "\nrefused_state %" PRIu64 "\nrefused_otherwise %" PRIu64 "\nvalues %" PRIu64

@@ -9,10 +9,10 @@ struct {
     uint32_t cycles[MOST];
 } adoptions;
 
-int __real_zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
-int __wrap_zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
+int __real_zygos_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate);
+int __wrap_zygos_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate);
 
-int __wrap_zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
+int __wrap_zygos_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate)
 {
     if (adoptions.count < MOST) {
         adoptions.cycles[adoptions.count] = (uint32_t)self->cycles;

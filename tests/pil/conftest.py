@@ -54,5 +54,5 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
         heading = ("target", "configuration", "compared with the host", "bytes equal", "of", "verdict")
         table(heading, sorted(noted["compared"]))
     if noted["measured"]:
-        heading = ("target", "capacity", "code", "zygos_t", "zygos_work_t", "zygos_estimate_t", "stack used, bytes")
+        heading = ("target", "capacity", "code", "zygos_arm_t", "zygos_work_t", "zygos_estimate_t", "stack used, bytes")
         table(heading, sorted(noted["measured"]))

@@ -2,10 +2,10 @@
 
 #include "zygos/zygos.h"
 
-int __real_zygos_init(zygos_t *self, const zygos_config_t *config);
-int __wrap_zygos_init(zygos_t *self, const zygos_config_t *config);
+int __real_zygos_init(zygos_arm_t *self, const zygos_config_t *config);
+int __wrap_zygos_init(zygos_arm_t *self, const zygos_config_t *config);
 
-int __wrap_zygos_init(zygos_t *self, const zygos_config_t *config)
+int __wrap_zygos_init(zygos_arm_t *self, const zygos_config_t *config)
 {
     uint32_t mode;
     __asm volatile("vmrs %0, fpscr" : "=r"(mode));

@@ -39,7 +39,7 @@ def symbols(elf: Path) -> dict[str, tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Settled:
-    """What firmware that has nothing more to do has come to: zygos_t, and after how many cycles it adopted."""
+    """What firmware that has nothing more to do has come to: zygos_arm_t, and after how many cycles it adopted."""
 
     state: bytes
     adoptions: tuple[int, ...]

@@ -85,17 +85,17 @@ class Section:
 
 
 def frames_section(frames: NDArray[Any]) -> Section:
-    """`FRAME` records through zygos_frame() and zygos_step()."""
+    """`FRAME` records through zygos_arm_frame() and zygos_arm_step()."""
     return Section(FRAMES, len(frames), np.ascontiguousarray(frames, dtype=flight.FRAME).tobytes())
 
 
 def cycles_section(native: Any, count: int) -> Section:
-    """A `zygos_cycle_t` array of the build in use through zygos_cycle()."""
+    """A `zygos_cycle_t` array of the build in use through zygos_arm_cycle()."""
     return Section(CYCLES, count, bytes(flight.ffi.buffer(native))[: count * flight.ffi.sizeof("zygos_cycle_t")])
 
 
 END = (Section(IMAGE, 0), Section(ESTIMATE, 0), Section(IMAGE, 0))
-"""The whole zygos_t, the estimate, and once more the zygos_t, which that must not change."""
+"""The whole zygos_arm_t, the estimate, and once more the zygos_arm_t, which that must not change."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Record:
 def on_host(config: Any, sections: Sequence[Section], in_place: bool = False) -> list[Record]:
     """What bulk.c does, by the library in use. in_place: the estimate is solved without a copy of the sums."""
     ffi, lib = flight.ffi, flight.lib
-    arm = ffi.new("zygos_t *")
+    arm = ffi.new("zygos_arm_t *")
     solver = ffi.new("zygos_solver_t *")
     work, estimate = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *")
     records: list[Record] = []
@@ -122,27 +122,27 @@ def on_host(config: Any, sections: Sequence[Section], in_place: bool = False) ->
         add("instant", head + b"".join(bytes(ffi.buffer(x)) for x in parts))
 
     parts = [ffi.addressof(arm, name) for name in ("arm_state", "motion", "row")]
-    verdict = lib.zygos_init(arm, config)
+    verdict = lib.zygos_arm_init(arm, config)
     add("init", struct.pack("<i", verdict))
     for section in sections if verdict == 1 else ():
         if section.kind in (FRAMES, CYCLES):
             kind = "zygos_frame_t" if section.kind == FRAMES else "zygos_cycle_t"
             vectors = ffi.from_buffer(f"{kind}[]", section.payload)
             for k in range(section.items):
-                said = (lib.zygos_frame if section.kind == FRAMES else lib.zygos_cycle)(arm, vectors + k)
+                said = (lib.zygos_arm_frame if section.kind == FRAMES else lib.zygos_arm_cycle)(arm, vectors + k)
                 add("verdicts", struct.pack("<b", said))
                 if section.kind == CYCLES and said == 1:
                     instant()
-                while section.kind == FRAMES and lib.zygos_step(arm) == 1:
+                while section.kind == FRAMES and lib.zygos_arm_step(arm) == 1:
                     instant()
         elif section.kind == IMAGE:
             add("image", ffi.buffer(arm))
         elif section.kind == ESTIMATE:
             if in_place:
-                lib.zygos_solve_in_place(arm, solver, estimate)
+                lib.zygos_arm_solve(arm, solver, estimate)
             else:
-                lib.zygos_take(arm, work)
-                lib.zygos_solve(work, estimate)
+                lib.zygos_arm_take(arm, work)
+                lib.zygos_work_solve(work, estimate)
             add("estimate", ffi.buffer(estimate))
     return records
 
@@ -186,7 +186,7 @@ class Sizes:
     """Memory on a target."""
 
     state: int
-    """Bytes of zygos_t,"""
+    """Bytes of zygos_arm_t,"""
     work: int
     """zygos_work_t,"""
     estimate: int
@@ -239,7 +239,7 @@ def place(kind: Any, offset: int) -> str:
 def where(record: Record, offset: int) -> str:
     """The member of a record's struct at a byte."""
     if record.kind == "image":
-        return "zygos_t" + place(flight.ffi.typeof("zygos_t"), offset)
+        return "zygos_arm_t" + place(flight.ffi.typeof("zygos_arm_t"), offset)
     if record.kind == "estimate":
         return "zygos_estimate_t" + place(flight.ffi.typeof("zygos_estimate_t"), offset)
     if record.kind == "instant":

@@ -2,7 +2,7 @@
    a receive interrupt may do to the task at the worst.
 
    storm.bin: three uint32 (frames, shortest and longest time between two interrupts, in ticks of SysTick), then
-   zygos_frame_t. storm.out: zygos_t, and a uint32: frames that came while a cycle was worked off. */
+   zygos_frame_t. storm.out: zygos_arm_t, and a uint32: frames that came while a cycle was worked off. */
 
 #include "arm_config.h"
 #include "core.h"
@@ -15,7 +15,7 @@
 
 #define MAX_FRAMES 16384u
 
-static zygos_t arm;
+static zygos_arm_t arm;
 static zygos_frame_t frames[MAX_FRAMES];
 static uint32_t head[3];
 static volatile uint32_t next;
@@ -29,7 +29,7 @@ void tick_interrupt(void)
     TIMER_RELOAD = head[1] + (noise >> 16) % (head[2] - head[1]);
     if (next < head[0]) {
         interrupted += working;
-        zygos_frame(&arm, &frames[next]);
+        zygos_arm_frame(&arm, &frames[next]);
         next = next + 1u;
     }
 }
@@ -39,7 +39,7 @@ int main(void)
     const int32_t in = semihosting_open("storm.bin", SEMIHOSTING_READ);
     const uint32_t size = (uint32_t)sizeof(zygos_frame_t);
     if ((semihosting_read(in, head, sizeof head) != sizeof head) || (head[0] > MAX_FRAMES) ||
-        (semihosting_read(in, frames, head[0] * size) != head[0] * size) || (zygos_init(&arm, &arm_config) != 1)) {
+        (semihosting_read(in, frames, head[0] * size) != head[0] * size) || (zygos_arm_init(&arm, &arm_config) != 1)) {
         return 1;
     }
     TIMER_RELOAD = head[1];
@@ -47,7 +47,7 @@ int main(void)
     TIMER_CONTROL = TIMER_ON;
     while ((next < head[0]) || (arm.receiver.queue.head != arm.receiver.queue.tail)) {
         working = (arm.receiver.queue.head != arm.receiver.queue.tail) ? 1u : 0u;
-        if (zygos_step(&arm) == ZYGOS_E_STATE) {
+        if (zygos_arm_step(&arm) == ZYGOS_E_STATE) {
             break; // a changed place: no cycle is processed any more, and the queue would not become empty
         }
         working = 0;

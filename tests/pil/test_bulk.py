@@ -93,7 +93,7 @@ def both(
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("name", CASES)
 def test_from_frames_to_the_estimate(name: str, target: str, tmp_path: Path, agree: Agree, measured: Measured) -> None:
-    """Reception, queue, smoother, kinematics, row, noise, sums: the whole zygos_t, padding too; and the solver."""
+    """Reception, queue, smoother, kinematics, row, noise, sums: the whole zygos_arm_t, padding too; and the solver."""
     case = CASES[name]
     build = BUILDS[case.example]
     with capacities(*build.defines):
@@ -103,13 +103,13 @@ def test_from_frames_to_the_estimate(name: str, target: str, tmp_path: Path, agr
         kinds = Counter(record.kind for record in host)
         assert kinds["instant"] == len(cycles)
         assert kinds["image"] == 2
-        what = f"{len(cycles):,} cycles of frames: each row, zygos_t, estimate"
+        what = f"{len(cycles):,} cycles of frames: each row, zygos_arm_t, estimate"
         agree(target, name, what, compare(host, records))
         if name == case.example or not (case.options or case.kinds):
             measured(target, build.name, sizes)
             estimate = flight.ffi.from_buffer("zygos_estimate_t *", host[-2].data)
             assert estimate.validity >= (2 if case.example == "paper" else 0)
-        joints = flight.ffi.from_buffer("zygos_t *", host[-1].data).joint_sums
+        joints = flight.ffi.from_buffer("zygos_arm_t *", host[-1].data).joint_sums
         assert not case.motion or joints.segments > flight.lib.ZYGOS_JOINT_GROUPS_VALUE
 
 
@@ -203,7 +203,7 @@ def test_damaged_and_foreign_frames(example: str, target: str, tmp_path: Path, a
         sections = [frames_section(frames), *END]
         host, records, _ = both(tmp_path, target, build, flight.config_of(arm), sections)
         agree(target, f"{example}, half of the frames damaged", f"{len(frames):,} verdicts, …", compare(host, records))
-        found = flight.ffi.from_buffer("zygos_t *", host[-1].data).receiver.faults
+        found = flight.ffi.from_buffer("zygos_arm_t *", host[-1].data).receiver.faults
         missed = {name for name, _ in flight.ffi.typeof(found).fields if getattr(found, name) == 0}
         assert missed <= {"overrun", "time_lost"}, "faults that the frames did not provoke"
 
@@ -277,7 +277,7 @@ def test_a_configuration_is_refused_for_the_same_reason(target: str, tmp_path: P
 
 def test_the_place_of_a_byte() -> None:
     with capacities(*PAPER.defines):
-        kind = flight.ffi.typeof("zygos_t")
-        offset = flight.ffi.offsetof("zygos_t", "accumulator", "block", 3, "gram", 5)
+        kind = flight.ffi.typeof("zygos_arm_t")
+        offset = flight.ffi.offsetof("zygos_arm_t", "accumulator", "block", 3, "gram", 5)
         assert place(kind, offset + 7) == ".accumulator.block[3].gram[5]"
         assert place(kind, 0) == ".magic"

@@ -42,7 +42,7 @@ BETWEEN = {"m7": (100, 1_400), "m4f": (1_000, 16_000)}
 def stormed(
     folder: Path, target: str, arm: Arm, frames: NDArray[Any], drills: tuple[str, ...] = ()
 ) -> tuple[Record, int]:
-    """zygos_t behind frames that came in interrupts, and how many came while a cycle was worked off."""
+    """zygos_arm_t behind frames that came in interrupts, and how many came while a cycle was worked off."""
     elf = firmware(target, "storm", PAPER, compiled_in(folder, Flight(arm)), drills)
     (folder / "storm.bin").write_bytes(struct.pack("<3I", len(frames), *BETWEEN[target]) + frames.tobytes())
     subprocess.run([*build_firmware.run(target, elf), *CLOCK], cwd=folder, check=True, timeout=LIMIT_S)
@@ -60,7 +60,7 @@ def test_frames_in_interrupts_give_the_bits_of_frames_in_order(target: str, tmp_
         arm, cycles = recorded("paper")
         frames = encode(arm, cycles)
         found, interrupted = stormed(tmp_path, target, arm, frames)
-        what = f"zygos_t; {interrupted:,} of {len(frames):,} frames interrupted a step"
+        what = f"zygos_arm_t; {interrupted:,} of {len(frames):,} frames interrupted a step"
         agree(target, "paper, frames in interrupts", what, compare([in_order(arm, frames)], [found]))
         assert interrupted > len(frames) / 4
 

@@ -40,27 +40,27 @@ def the_run() -> tuple[Arm, NDArray[Any]]:
 
 
 def same(arm: Arm, frames: NDArray[Any], found: Settled, lost: int = 0) -> Comparison:
-    """Compare with zygos_t of the host behind these frames in order, which adopts after the same cycles.
+    """Compare with zygos_arm_t of the host behind these frames in order, which adopts after the same cycles.
 
     lost: nothing is worked off from the 60th cycle until so many cycles are lost.
     """
     ffi, lib = flight.ffi, flight.lib
-    state, work, estimate = ffi.new("zygos_t *"), ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *")
-    assert lib.zygos_init(state, flight.config_of(arm)) == 1
+    state, work, estimate = ffi.new("zygos_arm_t *"), ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *")
+    assert lib.zygos_arm_init(state, flight.config_of(arm)) == 1
     waiting = list(found.adoptions)
 
     def adopt() -> None:
         while waiting and waiting[0] == state.cycles:
-            lib.zygos_take(state, work)
-            lib.zygos_solve(work, estimate)
-            lib.zygos_adopt(state, estimate)
+            lib.zygos_arm_take(state, work)
+            lib.zygos_work_solve(work, estimate)
+            lib.zygos_arm_adopt(state, estimate)
             waiting.pop(0)
 
     adopt()
     native = ffi.from_buffer("zygos_frame_t[]", frames.tobytes())
     for k in range(len(frames)):
-        lib.zygos_frame(state, native + k)
-        while (state.cycles != 60 or state.receiver.faults.overrun >= lost) and lib.zygos_step(state) == 1:
+        lib.zygos_arm_frame(state, native + k)
+        while (state.cycles != 60 or state.receiver.faults.overrun >= lost) and lib.zygos_arm_step(state) == 1:
             adopt()
     assert not waiting
     return compare([Record("image", bytes(ffi.buffer(state)))], [Record("image", found.state)])
@@ -109,7 +109,7 @@ def test_a_run_through_the_interrupt(target: str, tmp_path: Path, agree: Agree) 
             found = live.settle(len(frames))
             assert live.lines() == (len(frames), 0)
             assert live.word("uart", 1) == live.word("uart", 2) == 0
-        agree(target, "paper, live", "zygos_t behind a run", same(arm, frames, found))
+        agree(target, "paper, live", "zygos_arm_t behind a run", same(arm, frames, found))
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -216,7 +216,7 @@ def test_lost_characters(tmp_path: Path, agree: Agree) -> None:
             assert live.lines() == (int(good.sum()), int((~good).sum()))
         assert rest == b""
         left = np.array(survived, dtype=flight.FRAME)
-        state = flight.ffi.from_buffer("zygos_t *", found.state)
+        state = flight.ffi.from_buffer("zygos_arm_t *", found.state)
         assert state.receiver.faults.incomplete > 30
         assert state.gaps > 10
         agree("m7", "paper, lost characters", "what survived", same(arm, left, found))
@@ -268,7 +268,7 @@ def test_a_task_that_is_held_up(tmp_path: Path, agree: Agree) -> None:
                 while k % 14 == 13 and sum(live.lines()) < k - 14:
                     time.sleep(0.001)
             found = live.settle(len(frames))
-        state = flight.ffi.from_buffer("zygos_t *", found.state)
+        state = flight.ffi.from_buffer("zygos_arm_t *", found.state)
         lost = state.receiver.faults.overrun
         assert lost >= 5
         assert state.cycles == 100 - lost

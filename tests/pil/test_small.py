@@ -74,7 +74,7 @@ def test_everything_fits(example: str, tmp_path: Path, agree: Agree, measured: M
         )
         measured("m7", small.build.name, sizes)
         estimate = flight.ffi.from_buffer("zygos_estimate_t *", host[-2].data)
-        state = flight.ffi.from_buffer("zygos_t *", host[-1].data)
+        state = flight.ffi.from_buffer("zygos_arm_t *", host[-1].data)
         assert estimate.blocks >= 6
         assert state.motor_sums.count > 0
         assert state.momentum_sums.count > 0

@@ -102,18 +102,18 @@ def flipped(flight: Flight, byte: int, bit: int) -> None:
 
 
 def sums_of(flight: Flight) -> list[tuple[int, int]]:
-    """Places and lengths in zygos_t of the sums that are in use."""
+    """Places and lengths in zygos_arm_t of the sums that are in use."""
     arm, sums = flight.arm, flight.native.accumulator
     p = len(flight.names)
     row, noise = 4 * (p + 2) * (p + 3), 4 * (p + 1) * (p + 2)
-    at = ffi.offsetof("zygos_t", "accumulator")
+    at = ffi.offsetof("zygos_arm_t", "accumulator")
     block, buffer = ffi.sizeof("zygos_block_t"), ffi.sizeof("zygos_row_buffer_t")
     shares = ("noise_open", sums.parity), ("noise_open", sums.parity ^ 1), ("noise_closed", 0)
     own = ffi.sizeof("zygos_noise_sums_t")
     out = [(at + ffi.offsetof("zygos_accumulator_t", name) + n * own, noise) for name, n in shares]
     out += [(at + ffi.offsetof("zygos_accumulator_t", "block") + b * block, row) for b in range(sums.count)]
     out += [(at + ffi.offsetof("zygos_accumulator_t", "buffer") + b * buffer, row) for b in range(2)]
-    at = ffi.offsetof("zygos_t", "motor_sums")
+    at = ffi.offsetof("zygos_arm_t", "motor_sums")
     own, whole = ffi.sizeof("zygos_motor_gram_t"), ffi.sizeof("zygos_motor_block_t")
     places = [at + ffi.offsetof("zygos_motor_sums_t", "open")]
     first = at + ffi.offsetof("zygos_motor_sums_t", "block")

@@ -134,7 +134,7 @@ def part(cycles: Cycles, start: int, stop: int) -> Cycles:
 def copy_of(flight: Flight) -> Flight:
     """Another one with the same memory, which may be changed."""
     out = Flight(flight.arm, flight.effects)
-    ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
+    ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_arm_t"))
     return out
 
 
@@ -143,10 +143,10 @@ def bytes_of(pointer: Any) -> bytes:
 
 
 def masked(flight: Flight) -> bytes:
-    """zygos_t without the two parts that a rejected frame may change."""
+    """zygos_arm_t without the two parts that a rejected frame may change."""
     image = bytearray(bytes_of(flight.native))
     for part in ("faults", "status"):
-        start = ffi.offsetof("zygos_t", "receiver", part)
+        start = ffi.offsetof("zygos_arm_t", "receiver", part)
         size = ffi.sizeof(getattr(flight.native.receiver, part))
         image[start : start + size] = bytes(size)
     return bytes(image)
@@ -206,7 +206,7 @@ class Bus:
 
     def send(self, *frames: Any) -> list[int]:
         """Feed without stepping. Returns the verdicts."""
-        return [lib.zygos_frame(self.flight.native, frame) for frame in frames]
+        return [lib.zygos_arm_frame(self.flight.native, frame) for frame in frames]
 
     def cycles(self, first: int, count: int = 1) -> None:
         """Feed good cycles, from the SYNC with counter `first` on; the last one stays open."""

@@ -44,7 +44,7 @@ def build() -> Path:
 
 @cache
 def _symbol() -> int:
-    """Where in the program its zygos_t is."""
+    """Where in the program its zygos_arm_t is."""
     symbols = subprocess.run(["nm", NODE], capture_output=True, text=True, check=True).stdout.splitlines()
     (symbol,) = (int(line.split()[0], 16) for line in symbols if line.split()[1:] == ["b", "arm"])
     return symbol
@@ -163,7 +163,7 @@ class Node:
 
     def worked_off(self, syncs: int) -> None:
         """Wait until it has received so many SYNCs since its first start, and waits for more."""
-        place = ffi.offsetof("zygos_t", "receiver") + ffi.offsetof("zygos_receiver_t", "assembly")
+        place = ffi.offsetof("zygos_arm_t", "receiver") + ffi.offsetof("zygos_receiver_t", "assembly")
         deadline = time.monotonic() + 30.0
         while int.from_bytes(self.memory(place, 8), "little") < syncs - 1 or not self._waits():
             assert time.monotonic() < deadline
@@ -177,20 +177,20 @@ class Node:
         return state == "S" and waiting == bytes(4)
 
     def memory(self, place: int, size: int) -> bytes:
-        """Bytes of the zygos_t of the running node."""
+        """Bytes of the zygos_arm_t of the running node."""
         with Path(f"/proc/{self.process.pid}/mem").open("rb", buffering=0) as memory:
             memory.seek(self._arm() + place)
             return memory.read(size)
 
     def flip(self, place: int, bit: int) -> None:
-        """An upset: one bit of the zygos_t of the running node changes."""
+        """An upset: one bit of the zygos_arm_t of the running node changes."""
         changed = self.memory(place, 1)[0] ^ 1 << bit
         with Path(f"/proc/{self.process.pid}/mem").open("r+b", buffering=0) as memory:
             memory.seek(self._arm() + place)
             memory.write(bytes([changed]))
 
     def _arm(self) -> int:
-        """Address of its zygos_t: where the program was loaded, and where in it the symbol is."""
+        """Address of its zygos_arm_t: where the program was loaded, and where in it the symbol is."""
         maps = Path(f"/proc/{self.process.pid}/maps").read_text().splitlines()
         begin = next(int(line.split("-")[0], 16) for line in maps if line.endswith(str(NODE)))
         return begin + _symbol()

@@ -91,7 +91,7 @@ def leaves(kind: Any, path: str = "", offset: int = 0, sizeof: Callable[[Any], i
 
 
 @cache
-def members(struct: str = "zygos_t") -> dict[str, list[Leaf]]:
+def members(struct: str = "zygos_arm_t") -> dict[str, list[Leaf]]:
     """The numbers of a struct by member."""
     out = defaultdict(list)
     for leaf in leaves(ffi.typeof(struct)):
@@ -106,7 +106,7 @@ def used(native: Any, leaf: Leaf) -> NDArray[np.int64]:
 
 
 def one_of_each(native: Any, rng: np.random.Generator, without: Sequence[str] = ()) -> list[Place]:
-    """Of each member of zygos_t an element: one that is in use, if any is. without: the first names of some members."""
+    """Of each member of zygos_arm_t an element, one in use if any is. without: the first names of some members."""
     out = []
     for name, group in members().items():
         if name.split(".")[0] in without:
@@ -151,17 +151,17 @@ def beside_sums(native: Any, rng: np.random.Generator, each: int = 2) -> list[Pl
 
 
 def config_of_its_own(flight: Flight) -> Any:
-    """The caller's own configuration, as zygos_scrub() wants it."""
+    """The caller's own configuration, as zygos_arm_scrub() wants it."""
     return ffi.new("zygos_config_t *", flight.native.config)
 
 
 def lose_the_way(flight: Flight) -> Place:
-    """Flip a bit of an index or a count, so that it is impossible and nothing but zygos_scrub() may go on."""
+    """Flip a bit of an index or a count, so that it is impossible and nothing but zygos_arm_scrub() may go on."""
     config, work = config_of_its_own(flight), ffi.new("zygos_work_t *")
     for place in one_of_each(flight.native, np.random.default_rng(0), without=("config", "magic")):
         if place.leaf.kind == "uint32_t":
             place.flip(flight.native, 20)
-            if lib.zygos_check(flight.native, config, work) == lib.ZYGOS_E_STATE:
+            if lib.zygos_arm_check(flight.native, config, work) == lib.ZYGOS_E_STATE:
                 return place
             place.flip(flight.native, 20)
     raise AssertionError("no index or count is impossible with another bit")

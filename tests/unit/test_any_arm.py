@@ -106,7 +106,7 @@ def test_a_rigid_joint_needs_no_link_encoder() -> None:
     ("example", "learn_s", "known"), [("spatial", 22.0, 54), ("seven", 28.0, 110)], ids=["three joints", "seven joints"]
 )
 def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: int) -> None:
-    """Moved by Pinocchio's equations at 500 Hz, without noise, through `zygos_cycle`.
+    """Moved by Pinocchio's equations at 500 Hz, without noise, through `zygos_arm_cycle`.
 
     The solution predicts the kinetic energy, also of the two seconds that it has not seen. The parameters that the
     motion determines have values, and those are right by their own sigmas; the others are withheld. The intervals
@@ -153,16 +153,16 @@ def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: 
 @pytest.mark.parametrize("frame", [[0.0] * 9, [1, 0, 0, 0, 1, 0, 0, 0, -1], [1, 0, 0, 0, 1, 0, 0, 0, float("nan")]])
 def test_a_frame_that_is_no_rotation_is_refused(frame: list[float]) -> None:
     arm, _ = random_arm(3, 2, "free", "spatial")
-    native, config = ffi.new("zygos_t *"), config_of(arm)
+    native, config = ffi.new("zygos_arm_t *"), config_of(arm)
     config.joint[1].frame = frame
-    assert lib.zygos_init(native, config) == lib.ZYGOS_E_AXIS
+    assert lib.zygos_arm_init(native, config) == lib.ZYGOS_E_AXIS
 
 
 def test_every_rotation_is_a_frame_and_no_reflection_is() -> None:
     arm, _ = random_arm(3, 2, "free", "spatial")
-    native, config = ffi.new("zygos_t *"), config_of(arm)
+    native, config = ffi.new("zygos_arm_t *"), config_of(arm)
     for rotation in Rotation.random(200, random_state=0).as_matrix():
         config.joint[1].frame = rotation.ravel().tolist()
-        assert lib.zygos_init(native, config) == 1
+        assert lib.zygos_arm_init(native, config) == 1
         config.joint[1].frame = (-rotation).ravel().tolist()
-        assert lib.zygos_init(native, config) == lib.ZYGOS_E_AXIS
+        assert lib.zygos_arm_init(native, config) == lib.ZYGOS_E_AXIS

@@ -91,7 +91,7 @@ def test_bandwidth_verdicts(both: Both) -> None:
 
 def test_arcs_and_counts(both: Both) -> None:
     work = ffi.new("zygos_work_t *")
-    lib.zygos_take(both.flight.native, work)
+    lib.zygos_arm_take(both.flight.native, work)
     lib.zygos_accumulator_end_arc(ffi.addressof(work, "accumulator"), work.cycle)
     sums, design, counts = work.accumulator, both.chain.design, both.flight.counts
     assert (sums.arcs, sums.arcs_dropped) == (design.arcs, design.dropped_arcs)

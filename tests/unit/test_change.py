@@ -197,7 +197,7 @@ def test_the_deviation_in_closed_form(seed: int) -> None:
     drift = both.drift()
     assert drift.until == 2399
     work, known, deviation = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("double[]", 256)
-    lib.zygos_take(both.native, work)
+    lib.zygos_arm_take(both.native, work)
     assert lib.zygos_detect_change(work, known, deviation) == 1
     p = len(drift.names)
     np.testing.assert_array_equal(list(deviation)[:p], drift.deviation)
@@ -285,7 +285,7 @@ def test_motor_rows_fade_alike() -> None:
     whole, fading = Flight(arm), Flight(replace(arm, memory_s=20.0))
     for flight in (whole, fading):
         flight.cycles(run)
-        assert lib.zygos_scrub(flight.native, config_of_its_own(flight)) == 0
+        assert lib.zygos_arm_scrub(flight.native, config_of_its_own(flight)) == 0
     there, faded = (flight.blocks().motors[:4] for flight in (whole, fading))
     newest = np.trace(faded[3][0][0]) / np.trace(there[3][0][0])
     for k in range(4):
@@ -316,7 +316,7 @@ def test_with_a_short_memory_the_estimate_follows_and_without_it_does_not(true: 
 
 
 def test_what_was_changed_or_is_not_there_is_not_compared() -> None:
-    """The refusals are those of zygos_solve()."""
+    """The refusals are those of zygos_work_solve()."""
     arm, model, scenario = lively()
     flight = Flight(arm)
     flight.cycles(part(stored(arm, model, scenario), 0, 200))
@@ -324,7 +324,7 @@ def test_what_was_changed_or_is_not_there_is_not_compared() -> None:
     for given in ((ffi.NULL, known, deviation), (work, ffi.NULL, deviation), (work, known, ffi.NULL)):
         assert lib.zygos_detect_change(*given) == lib.ZYGOS_E_NULL
     for joints, reason in ((arm.n, lib.ZYGOS_REASON_NO_DATA), (2**20, lib.ZYGOS_REASON_CORRUPT)):
-        lib.zygos_take(flight.native, work)
+        lib.zygos_arm_take(flight.native, work)
         work.config.joints = joints
         assert lib.zygos_detect_change(work, known, deviation) == 0
         assert (known.validity, known.reason) == (lib.ZYGOS_REFUSED, reason)
@@ -346,13 +346,13 @@ def test_without_motor_rows_there_is_nothing_to_keep() -> None:
 @pytest.mark.parametrize("keep", [0.8999, 1.0001, 0.0, -1.0, math.inf, math.nan])
 def test_a_keep_out_of_range_is_refused(keep: float) -> None:
     config = config_of(lively()[0])
-    native = ffi.new("zygos_t *")
-    assert lib.zygos_init(native, config) == 1
+    native = ffi.new("zygos_arm_t *")
+    assert lib.zygos_arm_init(native, config) == 1
     config.forgetting_factor = keep
-    assert lib.zygos_init(native, config) == lib.ZYGOS_E_VALUE
+    assert lib.zygos_arm_init(native, config) == lib.ZYGOS_E_VALUE
     for allowed in (0.9, 1.0):
         config.forgetting_factor = allowed
-        assert lib.zygos_init(native, config) == 1
+        assert lib.zygos_arm_init(native, config) == 1
 
 
 def with_memory(folder: Path, text: str) -> Path:

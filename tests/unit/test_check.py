@@ -1,4 +1,4 @@
-"""zygos_check() and zygos_restart(): what memory errors have changed is found, and healed."""
+"""zygos_arm_check() and zygos_arm_restart(): what memory errors have changed is found, and healed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def flight() -> Flight:
 def check(flight: Flight) -> int:
     """The verdict, which leaves the memory as it is."""
     before = bytes_of(flight.native)
-    verdict = int(lib.zygos_check(flight.native, config_of_its_own(learned()), WORK))
+    verdict = int(lib.zygos_arm_check(flight.native, config_of_its_own(learned()), WORK))
     assert ffi.buffer(flight.native)[:] == before
     return verdict
 
@@ -62,18 +62,18 @@ def test_what_nobody_changed_passes(flight: Flight) -> None:
 def test_misuse_is_refused(flight: Flight) -> None:
     own = ffi.addressof(flight.native, "config")
     for arguments in ((ffi.NULL, own, WORK), (flight.native, ffi.NULL, WORK), (flight.native, own, ffi.NULL)):
-        assert lib.zygos_check(*arguments) == lib.ZYGOS_E_NULL
-    assert lib.zygos_check(ffi.new("zygos_t *"), own, WORK) == lib.ZYGOS_E_ORDER
+        assert lib.zygos_arm_check(*arguments) == lib.ZYGOS_E_NULL
+    assert lib.zygos_arm_check(ffi.new("zygos_arm_t *"), own, WORK) == lib.ZYGOS_E_ORDER
     other = ffi.new("zygos_config_t *", own[0])
     other.period_s += 1e-3
-    assert lib.zygos_check(flight.native, other, WORK) == lib.ZYGOS_E_CONFIG
+    assert lib.zygos_arm_check(flight.native, other, WORK) == lib.ZYGOS_E_CONFIG
     assert not lib.zygos_work_intact(ffi.NULL)
     own.joints = 1000
-    assert lib.zygos_check(flight.native, own, WORK) == lib.ZYGOS_E_STATE
+    assert lib.zygos_arm_check(flight.native, own, WORK) == lib.ZYGOS_E_STATE
 
 
 def a_sum(flight: Flight) -> None:
-    """Change what zygos_check() finds in the sums."""
+    """Change what zygos_arm_check() finds in the sums."""
     for place in sums(flight.native, np.random.default_rng(0)):
         place.flip(flight.native, 52)
         if check(flight) == lib.ZYGOS_E_SUMS:
@@ -108,16 +108,16 @@ def test_a_restart_heals_sums_and_tables(flight: Flight) -> None:
     """Whatever was changed but the configuration: behind it the rest of the run gives the bits of an arm that restarted
     without an upset."""
     healthy, rest = copy_of(learned()), part(cycles(), 0, 400)
-    assert lib.zygos_restart(healthy.native, lib.ZYGOS_KEEP_FAULTS) == 1
+    assert lib.zygos_arm_restart(healthy.native, lib.ZYGOS_KEEP_FAULTS) == 1
     healthy.cycles(rest)
     expected = healthy.estimate()
     rng = np.random.default_rng(0)
     places = [*sums(flight.native, rng), *one_of_each(flight.native, rng, without=("config", "magic"))[::8]]
     for place, other in zip(places, rng.permutation(np.array(places, dtype=object)), strict=True):
-        ffi.memmove(flight.native, learned().native, ffi.sizeof("zygos_t"))
+        ffi.memmove(flight.native, learned().native, ffi.sizeof("zygos_arm_t"))
         for one in (place, other):
             one.flip(flight.native, one.bits(rng, 2)[1])
-        assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
+        assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
         flight.cycles(rest)
         np.testing.assert_array_equal(flight.estimate().value, expected.value)
     assert check(flight) == 1
@@ -125,12 +125,12 @@ def test_a_restart_heals_sums_and_tables(flight: Flight) -> None:
 
 
 def test_a_restart_refuses_a_configuration_that_cannot_be(flight: Flight) -> None:
-    """What follows from it would lie anywhere. zygos_init() with a good one heals that, too."""
+    """What follows from it would lie anywhere. zygos_arm_init() with a good one heals that, too."""
     flight.native.config.joints ^= 1 << 20
     before = bytes_of(flight.native)
-    assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == lib.ZYGOS_E_JOINTS
+    assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == lib.ZYGOS_E_JOINTS
     assert bytes_of(flight.native) == before
-    assert lib.zygos_init(flight.native, config_of_its_own(learned())) == 1
+    assert lib.zygos_arm_init(flight.native, config_of_its_own(learned())) == 1
     assert check(flight) == 1
 
 

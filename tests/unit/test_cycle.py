@@ -106,7 +106,7 @@ def test_the_number_of_the_cycle_goes_on_past_many_wraps(bus: Bus) -> None:
 def test_an_incomplete_open_cycle_is_not_given_out(bus: Bus) -> None:
     bus.cycles(1)
     assert bus.drain() == []
-    assert lib.zygos_step(bus.flight.native) == 0
+    assert lib.zygos_arm_step(bus.flight.native) == 0
 
 
 def test_nothing_is_at_the_front_of_an_empty_queue(bus: Bus) -> None:
@@ -424,7 +424,7 @@ def retold(frame: Any) -> Any:
 
 @pytest.mark.parametrize("all_have_come", [False, True])
 def test_a_rejected_frame_changes_faults_and_status_only(bus: Bus, all_have_come: bool) -> None:
-    """Every other byte of zygos_t stays: the half-filled cycle, the queue, the clock, filters and sums. In the repeated
+    """Every other byte of zygos_arm_t stays: the half-filled cycle, queue, clock, filters and sums. In the repeated
     cases every frame of cycle 3 has come; otherwise none, so the bad one is the first of its kind."""
     bus.cycles(1, 2)
     bus.send(bus.sync(3), *(bus.data(3) if all_have_come else []))
@@ -475,7 +475,7 @@ def test_other_error_frames_are_counted_only(bus: Bus, error_class: int) -> None
 def test_frames_stay_inside_the_queue_where_its_place_was_changed(
     resolution: str, request: pytest.FixtureRequest
 ) -> None:
-    """They are stored in the first place, and no step is made before zygos_scrub()."""
+    """They are stored in the first place, and no step is made before zygos_arm_scrub()."""
     bus: Bus = request.getfixturevalue(resolution)
     bus.cycles(1, 2)
     bus.drain()
@@ -487,10 +487,10 @@ def test_frames_stay_inside_the_queue_where_its_place_was_changed(
     assert bytes(ffi.buffer(native.receiver.queue.slot[1:3])) == behind
     first = native.receiver.queue.slot[0]
     assert 0.0 < first.q[1] < 1.0 and 0.0 < first.omega[0] < 1.0
-    assert lib.zygos_step(native) == lib.ZYGOS_E_STATE
+    assert lib.zygos_arm_step(native) == lib.ZYGOS_E_STATE
     pristine = ffi.new("zygos_config_t *", native.config)
-    assert lib.zygos_scrub(native, pristine) & lib.ZYGOS_SCRUBBED_PLACES
-    assert lib.zygos_step(native) == 0
+    assert lib.zygos_arm_scrub(native, pristine) & lib.ZYGOS_SCRUBBED_PLACES
+    assert lib.zygos_arm_step(native) == 0
 
 
 @pytest.mark.parametrize("resolution", ["bus", "coarse"])
@@ -504,9 +504,9 @@ def test_a_cycle_is_not_used_if_its_readings_change_before_it_is_processed(
     native = bus.flight.native
     for counter in range(1, 13):
         bus.cycles(counter)
-        lib.zygos_step(native)
+        lib.zygos_arm_step(native)
     bus.send(bus.sync(13))
-    assert lib.zygos_step(native) == 1
+    assert lib.zygos_arm_step(native) == 1
     bus.send(*bus.data(13))
     if waits:
         bus.send(bus.sync(14))
@@ -517,11 +517,11 @@ def test_a_cycle_is_not_used_if_its_readings_change_before_it_is_processed(
     if not waits:
         bus.send(bus.sync(14))  # which gives it its number and flags
     spoilt = waits or member not in ("sync", "flags")
-    assert lib.zygos_step(native) == 1
+    assert lib.zygos_arm_step(native) == 1
     assert (native.invalid, native.gaps - gaps, native.cycle - number) == ((1, 1, 0) if spoilt else (0, 0, 1))
     bus.send(*bus.data(14))
     bus.cycles(15, 2)
-    while lib.zygos_step(native) == 1:
+    while lib.zygos_arm_step(native) == 1:
         pass
     assert (native.invalid, native.cycle - number) == (1 if spoilt else 0, 3)
     assert bus.faults() == {}
@@ -545,14 +545,14 @@ def test_cycles_that_came_with_a_changed_number_of_joints_are_dropped(bus: Bus) 
     """They are complete without the joints that are not counted, whose readings are those of an older cycle."""
     pristine = ffi.new("zygos_config_t *", bus.config)
     bus.cycles(1, 12)
-    while lib.zygos_step(bus.flight.native) == 1:
+    while lib.zygos_arm_step(bus.flight.native) == 1:
         pass
     bus.config.joints = 1
     for counter in (13, 14, 15):
         bus.send(bus.sync(counter), *bus.data(counter))
-    assert lib.zygos_step(bus.flight.native) == lib.ZYGOS_E_STATE
-    assert lib.zygos_scrub(bus.flight.native, pristine) & lib.ZYGOS_SCRUBBED_CONFIG
-    assert lib.zygos_step(bus.flight.native) == 0
+    assert lib.zygos_arm_step(bus.flight.native) == lib.ZYGOS_E_STATE
+    assert lib.zygos_arm_scrub(bus.flight.native, pristine) & lib.ZYGOS_SCRUBBED_CONFIG
+    assert lib.zygos_arm_step(bus.flight.native) == 0
     bus.cycles(16, 2)
     assert [number for number, _ in close(bus, 18)] == [15, 16]
 
@@ -751,12 +751,12 @@ def test_feeding_frames_one_by_one_or_at_once_changes_no_bit(arm: Arm) -> None:
     pointer = ffi.cast("zygos_frame_t *", frames.ctypes.data)
     syncs = 0
     for i in range(len(frames)):
-        lib.zygos_frame(late.native, pointer + i)
+        lib.zygos_arm_frame(late.native, pointer + i)
         syncs += int(frames["id"][i] == 0x080)
         if syncs % (QUEUE - 1) == 0:
-            while lib.zygos_step(late.native) == 1:
+            while lib.zygos_arm_step(late.native) == 1:
                 pass
-    while lib.zygos_step(late.native) == 1:
+    while lib.zygos_arm_step(late.native) == 1:
         pass
     assert bytes_of(late.native) == bytes_of(at_once.native)
 

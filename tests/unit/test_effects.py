@@ -187,7 +187,7 @@ def test_refused_configurations_change_nothing() -> None:
         config.effects = count
         for k, (kind, joint) in enumerate(pairs):
             config.effect[k].kind, config.effect[k].joint = kind, joint
-        assert lib.zygos_init(used.native, config) == lib.ZYGOS_E_EFFECT, (count, pairs)
+        assert lib.zygos_arm_init(used.native, config) == lib.ZYGOS_E_EFFECT, (count, pairs)
         assert bytes_of(used.native) == before
 
 
@@ -200,15 +200,15 @@ def test_a_rigid_joint_has_no_spring(key: str) -> None:
     infinite = replace(model.joints[1], stiffness=replace(model.joints[1].stiffness, value=np.inf))
     rigid = replace(model, joints=(model.joints[0], infinite), effects=(effect(key, "elbow"),))
     config, native = config_of(arm, [effect(key, "elbow")]), Flight(arm).native
-    assert lib.zygos_init(native, config) == 1
+    assert lib.zygos_arm_init(native, config) == 1
     config.joint[1].rigid = 1
     before = bytes_of(native)
     if CATALOGUE[key].place != "spring":
-        assert lib.zygos_init(native, config) == 1
+        assert lib.zygos_arm_init(native, config) == 1
         assert Flight(stiff, rigid.effects).names[-1] == f"{key}2"
         equations(stiff, rigid, "zygos")
         return
-    assert lib.zygos_init(native, config) == lib.ZYGOS_E_EFFECT
+    assert lib.zygos_arm_init(native, config) == lib.ZYGOS_E_EFFECT
     assert bytes_of(native) == before
     with pytest.raises(ZygosError, match=rf"effect {key} at elbow: the joint is rigid in arm {arm.name}.*remedy"):
         Flight(stiff, rigid.effects)
@@ -216,7 +216,7 @@ def test_a_rigid_joint_has_no_spring(key: str) -> None:
         with pytest.raises(ZygosError, match=rf"effect {key} at elbow: {wrong}.*remedy"):
             equations(one, rigid, "zygos")
     config.effect[0].joint = 0
-    assert lib.zygos_init(native, config) == 1
+    assert lib.zygos_arm_init(native, config) == 1
 
 
 def test_effects_of_a_base_that_cannot_turn() -> None:
@@ -552,7 +552,7 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
         row.column[0:count] = column.tolist()
         row.work = float(done)
         lib.zygos_accumulator_add(sums, row, 1.0)
-    lib.zygos_solve(work, out)
+    lib.zygos_work_solve(work, out)
     return out
 
 

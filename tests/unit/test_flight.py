@@ -143,16 +143,16 @@ def test_a_configuration_is_refused_and_nothing_changed(arm: Arm) -> None:
         for value in values:
             config = config_of(arm)
             set_(path, value)(config)
-            assert lib.zygos_init(flight.native, config) == code, (path, value)
+            assert lib.zygos_arm_init(flight.native, config) == code, (path, value)
         assert ffi.buffer(flight.native) == ffi.buffer(before.native), path
 
 
 def test_any_rotation_of_the_gyro_is_taken_and_no_reflection(arm: Arm) -> None:
-    native, config = ffi.new("zygos_t *"), config_of(arm)
+    native, config = ffi.new("zygos_arm_t *"), config_of(arm)
     for rotation in Rotation.random(40, random_state=0).as_matrix():
         for sign, code in ((1.0, 1), (-1.0, lib.ZYGOS_E_VALUE)):
             config.imu_to_base = (sign * rotation).ravel().tolist()
-            assert lib.zygos_init(native, config) == code
+            assert lib.zygos_arm_init(native, config) == code
 
 
 def test_every_refusal_has_a_configuration(arm: Arm) -> None:
@@ -167,7 +167,7 @@ def vars_of_enum(name: str) -> dict[str, int]:
 
 
 def test_the_edges_of_what_is_allowed(arm: Arm) -> None:
-    native = ffi.new("zygos_t *")
+    native = ffi.new("zygos_arm_t *")
     for path, value in (
         ("period_s", 1e-5),
         ("period_s", 0.065),
@@ -187,7 +187,7 @@ def test_the_edges_of_what_is_allowed(arm: Arm) -> None:
     ):
         config = config_of(arm)
         set_(path, value)(config)
-        assert lib.zygos_init(native, config) == 1, path
+        assert lib.zygos_arm_init(native, config) == 1, path
 
 
 def test_the_binding_names_what_the_library_refuses(tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_the_binding_names_what_the_library_refuses(tmp_path: Path) -> None:
 def test_init_with_its_own_configuration(arm: Arm) -> None:
     """Starting again from the configuration inside the struct itself."""
     flight = fed(arm, sines(arm, 100))
-    assert lib.zygos_init(flight.native, ffi.addressof(flight.native, "config")) == 1
+    assert lib.zygos_arm_init(flight.native, ffi.addressof(flight.native, "config")) == 1
     assert bytes_of(flight.native) == bytes_of(Flight(arm).native)
 
 
@@ -206,7 +206,7 @@ def test_init_starts_from_nothing(arm: Arm) -> None:
     """Whatever the memory held before, and however often it was used."""
     used = fed(arm, sines(arm, 300))
     ffi.buffer(used.native)[0:8] = b"\xa5" * 8
-    assert lib.zygos_init(used.native, config_of(arm)) == 1
+    assert lib.zygos_arm_init(used.native, config_of(arm)) == 1
     assert bytes_of(used.native) == bytes_of(Flight(arm).native)
 
 
@@ -219,20 +219,20 @@ def test_null_pointers(arm: Arm) -> None:
     null = ffi.NULL
     frame, cycle, work = ffi.new("zygos_frame_t *"), ffi.new("zygos_cycle_t *"), ffi.new("zygos_work_t *")
     verdicts = [
-        lib.zygos_init(null, config_of(arm)),
-        lib.zygos_init(flight.native, null),
-        lib.zygos_frame(null, frame),
-        lib.zygos_frame(flight.native, null),
-        lib.zygos_step(null),
-        lib.zygos_cycle(null, cycle),
-        lib.zygos_cycle(flight.native, null),
-        lib.zygos_restart(null, 0),
-        lib.zygos_solve(null, ffi.new("zygos_estimate_t *")),
-        lib.zygos_solve(work, null),
+        lib.zygos_arm_init(null, config_of(arm)),
+        lib.zygos_arm_init(flight.native, null),
+        lib.zygos_arm_frame(null, frame),
+        lib.zygos_arm_frame(flight.native, null),
+        lib.zygos_arm_step(null),
+        lib.zygos_arm_cycle(null, cycle),
+        lib.zygos_arm_cycle(flight.native, null),
+        lib.zygos_arm_restart(null, 0),
+        lib.zygos_work_solve(null, ffi.new("zygos_estimate_t *")),
+        lib.zygos_work_solve(work, null),
     ]
     assert set(verdicts) == {lib.ZYGOS_E_NULL}
-    lib.zygos_take(flight.native, null)
-    lib.zygos_take(null, work)
+    lib.zygos_arm_take(flight.native, null)
+    lib.zygos_arm_take(null, work)
     assert bytes_of(work) == bytes(ffi.sizeof("zygos_work_t"))
     assert bytes_of(flight.native) == before
 
@@ -240,14 +240,14 @@ def test_null_pointers(arm: Arm) -> None:
 @pytest.mark.parametrize("pattern", [0x00, 0xFF, 0xA5])
 def test_calls_before_init(arm: Arm, pattern: int) -> None:
     """Zeroed memory and memory of any content are both refused and left alone."""
-    native = ffi.new("zygos_t *")
-    ffi.memmove(native, bytes([pattern]) * ffi.sizeof("zygos_t"), ffi.sizeof("zygos_t"))
+    native = ffi.new("zygos_arm_t *")
+    ffi.memmove(native, bytes([pattern]) * ffi.sizeof("zygos_arm_t"), ffi.sizeof("zygos_arm_t"))
     before = bytes_of(native)
     verdicts = [
-        lib.zygos_frame(native, ffi.new("zygos_frame_t *")),
-        lib.zygos_step(native),
-        lib.zygos_cycle(native, ffi.new("zygos_cycle_t *")),
-        lib.zygos_restart(native, 0),
+        lib.zygos_arm_frame(native, ffi.new("zygos_frame_t *")),
+        lib.zygos_arm_step(native),
+        lib.zygos_arm_cycle(native, ffi.new("zygos_cycle_t *")),
+        lib.zygos_arm_restart(native, 0),
     ]
     assert set(verdicts) == {lib.ZYGOS_E_ORDER}
     assert bytes_of(native) == before
@@ -259,19 +259,19 @@ def test_solving_what_was_never_taken_is_refused() -> None:
     for pattern in (0x00, 0xFF, 0xA5):
         work = ffi.new("zygos_work_t *")
         ffi.memmove(work, bytes([pattern]) * ffi.sizeof("zygos_work_t"), ffi.sizeof("zygos_work_t"))
-        assert lib.zygos_solve(work, out) == 0
+        assert lib.zygos_work_solve(work, out) == 0
         assert (out.validity, out.reason) == (lib.ZYGOS_REFUSED, lib.ZYGOS_REASON_CORRUPT)
         assert np.isnan(list(out.value)).all()
     work = ffi.new("zygos_work_t *")
-    lib.zygos_take(ffi.new("zygos_t *"), work)
-    assert lib.zygos_solve(work, out) == 0
+    lib.zygos_arm_take(ffi.new("zygos_arm_t *"), work)
+    assert lib.zygos_work_solve(work, out) == 0
 
 
 def test_a_failed_init_does_not_arm_the_struct(arm: Arm) -> None:
-    native, config = ffi.new("zygos_t *"), config_of(arm)
+    native, config = ffi.new("zygos_arm_t *"), config_of(arm)
     config.joints = 0
-    lib.zygos_init(native, config)
-    assert lib.zygos_step(native) == lib.ZYGOS_E_ORDER
+    lib.zygos_arm_init(native, config)
+    assert lib.zygos_arm_step(native) == lib.ZYGOS_E_ORDER
 
 
 # ---------------------------------------------------------------- arcs
@@ -364,7 +364,7 @@ def test_a_cycle_that_is_not_finite_is_counted_and_dropped(arm: Arm) -> None:
         flight.cycles(sines(arm, 20, first=first))
         before, one = flight.counts, sines(arm, 1, first=first + 20)
         getattr(one, signal)[0, -1] = value
-        assert lib.zygos_cycle(flight.native, cycles_to_native(one)) == 0
+        assert lib.zygos_arm_cycle(flight.native, cycles_to_native(one)) == 0
         changed = {name for name, count in flight.counts.items() if count != before[name]}
         assert changed - {"arcs_dropped", "accepted"} == {"invalid", "gaps"}, (signal, value)
         first += 21
@@ -396,7 +396,7 @@ def test_a_wrap_across_a_gap_is_the_gap(arm: Arm) -> None:
 def test_joints_beyond_those_in_use_are_not_read(arm: Arm) -> None:
     cycles = cycles_to_native(sines(arm, 1))
     cycles[0].q[2] = cycles[0].theta[6] = cycles[0].tau[3] = NAN
-    assert lib.zygos_cycle(Flight(arm).native, cycles) == 1
+    assert lib.zygos_arm_cycle(Flight(arm).native, cycles) == 1
 
 
 def test_short_arcs_are_dropped_and_counted(arm: Arm) -> None:
@@ -446,7 +446,7 @@ def instants_of(flight: Flight) -> list[float]:
 
 
 def intact(flight: Flight) -> bool:
-    return int(lib.zygos_check(flight.native, config_of_its_own(flight), flight._work)) == 1
+    return int(lib.zygos_arm_check(flight.native, config_of_its_own(flight), flight._work)) == 1
 
 
 def constant(arm: Arm, first: int, n: int) -> Cycles:
@@ -711,7 +711,7 @@ def test_restart_forgets_the_estimate_and_keeps_reception(arm: Arm) -> None:
     first, second = part(run, 0, 600), part(run, 600, 1200)
     flight = Flight(arm)
     flight.frames(encode(arm, first)[:-1])
-    assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_NOTHING) == 1
+    assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_NOTHING) == 1
     assert flight.estimate().validity == "refused"
     assert flight.counts["accepted"] == 0
     trace = flight.frames(encode(arm, second), trace=True)
@@ -730,9 +730,9 @@ def test_restart_forgets_the_cycles_that_wait(arm: Arm) -> None:
     """They belong to the payload that is gone."""
     flight = Flight(arm)
     for frame in encode(arm, sines(arm, 5)):
-        lib.zygos_frame(flight.native, ffi.from_buffer("zygos_frame_t *", frame.tobytes()))
-    assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
-    assert lib.zygos_step(flight.native) == 0
+        lib.zygos_arm_frame(flight.native, ffi.from_buffer("zygos_frame_t *", frame.tobytes()))
+    assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
+    assert lib.zygos_arm_step(flight.native) == 0
 
 
 def test_restart_and_the_fault_counters(arm: Arm) -> None:
@@ -746,7 +746,7 @@ def test_restart_and_the_fault_counters(arm: Arm) -> None:
         flight.cycles(bad)
         before = (flight.faults["incomplete"], flight.counts["gaps"], flight.counts["invalid"])
         assert before == (1, 2, 1)
-        assert lib.zygos_restart(flight.native, keep) == 1
+        assert lib.zygos_arm_restart(flight.native, keep) == 1
         after = (flight.faults["incomplete"], flight.counts["gaps"], flight.counts["invalid"])
         assert after == tuple(kept * count for count in before)
 
@@ -756,7 +756,7 @@ def test_restart_refuses_bits_it_does_not_know(arm: Arm, motors: bool, keep: int
     """Bit 1 keeps the sums of the motor rows, where there are any."""
     flight = fed(replace(arm, impulse_arc_s=10.0 * motors), sines(arm, 300))
     before = bytes_of(flight.native)
-    assert lib.zygos_restart(flight.native, keep) == lib.ZYGOS_E_KEEP
+    assert lib.zygos_arm_restart(flight.native, keep) == lib.ZYGOS_E_KEEP
     assert bytes_of(flight.native) == before
 
 
@@ -797,7 +797,7 @@ def test_a_comparison_that_is_refused_writes_all_of_the_estimate(arm: Arm) -> No
     flight = fed(arm, closing(arm, 200))
     work, out, deviation = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("double[]", 256)
     ffi.memmove(out, b"\xa5" * ffi.sizeof("zygos_estimate_t"), ffi.sizeof("zygos_estimate_t"))
-    lib.zygos_take(flight.native, work)
+    lib.zygos_arm_take(flight.native, work)
     assert lib.zygos_detect_change(work, out, deviation) == 0
     assert (out.validity, out.reason) == (lib.ZYGOS_REFUSED, lib.ZYGOS_REASON_NO_DATA)
     assert (out.accepted, out.refused, out.since, out.arcs, out.rank, out.consecutive) == (0, 0, 0, 0, 0, 0)

@@ -194,7 +194,7 @@ def test_noise_of_the_rates_is_what_a_sample_of_it_shows() -> None:
 
 
 def test_a_run_in_pieces_of_any_length_gives_the_same_sums() -> None:
-    """zygos_take() at any time, with a segment half added, sees the same rows."""
+    """zygos_arm_take() at any time, with a segment half added, sees the same rows."""
     known = random_ground(3, "spatial", 1800)
     whole = Flight(known.arm)
     totals = []
@@ -313,17 +313,17 @@ def test_forgetting_fades_the_groups() -> None:
 def test_a_configuration_that_does_not_fit_is_refused() -> None:
     arm = random_ground(3, "spatial", 1500).arm
     config = config_of(arm)
-    state = ffi.new("zygos_t *")
+    state = ffi.new("zygos_arm_t *")
     for cycles in (7, 6, 49, 2_000_000):
         config.joint_row_cycles = cycles
-        assert lib.zygos_init(state, config) == lib.ZYGOS_E_ARC
+        assert lib.zygos_arm_init(state, config) == lib.ZYGOS_E_ARC
     config.joint_row_cycles = 0
     config.arc_cycles = 0
-    assert lib.zygos_init(state, config) == lib.ZYGOS_E_ARC
+    assert lib.zygos_arm_init(state, config) == lib.ZYGOS_E_ARC
     config.joint_row_cycles = 50
-    assert lib.zygos_init(state, config) == 1
+    assert lib.zygos_arm_init(state, config) == 1
     config.joint[1].torque_sigma = -1.0
-    assert lib.zygos_init(state, config) == lib.ZYGOS_E_VALUE
+    assert lib.zygos_arm_init(state, config) == lib.ZYGOS_E_VALUE
     with pytest.raises(ZygosError, match=r"joint_rows\.increment_s is shorter than 8 cycles"):
         Flight(replace(arm, joint_increment_s=0.02))
 
@@ -332,18 +332,18 @@ def test_energy_rows_can_be_left_out_where_joint_rows_suffice() -> None:
     known = random_ground(3, "spatial", 6000)
     answers = []
     for arc_cycles in (0, 15000):
-        state, work, out = (ffi.new(f"{name} *") for name in ("zygos_t", "zygos_work_t", "zygos_estimate_t"))
+        state, work, out = (ffi.new(f"{name} *") for name in ("zygos_arm_t", "zygos_work_t", "zygos_estimate_t"))
         config = config_of(known.arm)
         config.arc_cycles = arc_cycles
-        assert lib.zygos_init(state, config) == 1
+        assert lib.zygos_arm_init(state, config) == 1
         flight = Flight(known.arm)
         flight.native = state
         flight.cycles(known.cycles(0))
-        lib.zygos_take(state, work)
-        assert lib.zygos_solve(work, out) == 1
+        lib.zygos_arm_take(state, work)
+        assert lib.zygos_work_solve(work, out) == 1
         answers.append(list(out.value)[: out.parameters] + list(out.sigma)[: out.parameters])
-        assert lib.zygos_adopt(state, out) == 1
-        lib.zygos_take(state, work)
+        assert lib.zygos_arm_adopt(state, out) == 1
+        lib.zygos_arm_take(state, work)
         deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
         assert lib.zygos_detect_change(work, out, deviation) == 0
         assert np.isnan(list(deviation)).all()
@@ -381,13 +381,13 @@ def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -
 
 
 def reduced(arm: Arm, matrix: Floats) -> int:
-    """What zygos_init() says of a matrix (columns, parameters), its entries in order."""
+    """What zygos_arm_init() says of a matrix (columns, parameters), its entries in order."""
     config = config_of(replace(arm, joint_increment_s=None))
     columns, parameters = np.nonzero(matrix)
     config.reduced, config.reductions = matrix.shape[1], len(columns)
     for entry, column, parameter in zip(config.reduction, columns.tolist(), parameters.tolist(), strict=False):
         entry.column, entry.parameter, entry.factor = column, parameter, matrix[column, parameter]
-    return int(lib.zygos_init(ffi.new("zygos_t *"), config))
+    return int(lib.zygos_arm_init(ffi.new("zygos_arm_t *"), config))
 
 
 def test_values_of_columns_are_those_of_the_matrix_whatever_stood_in_their_place() -> None:
@@ -433,7 +433,7 @@ def test_which_reductions_are_refused() -> None:
     assert reduced(largest, np.eye(len(largest.full_parameters))) == 1
     config = config_of(fixed)
     config.reductions = 1
-    assert lib.zygos_init(ffi.new("zygos_t *"), config) == lib.ZYGOS_E_REDUCTION
+    assert lib.zygos_arm_init(ffi.new("zygos_arm_t *"), config) == lib.ZYGOS_E_REDUCTION
 
 
 def test_a_reduction_of_more_columns_than_the_build_has_is_refused() -> None:
@@ -461,13 +461,13 @@ def test_sums_are_those_of_the_columns_times_the_matrix() -> None:
     rng = np.random.default_rng(0)
     p = len(known.arm.full_parameters)
     matrix = np.where(rng.uniform(size=(p, p - 6)) < 0.2, rng.normal(size=(p, p - 6)), 0.0) + np.eye(p, p - 6)
-    whole, state = Flight(known.arm), ffi.new("zygos_t *")
+    whole, state = Flight(known.arm), ffi.new("zygos_arm_t *")
     config = config_of(known.arm)
     columns, parameters = np.nonzero(matrix)
     config.reduced, config.reductions = p - 6, len(columns)
     for entry, column, parameter in zip(config.reduction, columns.tolist(), parameters.tolist(), strict=False):
         entry.column, entry.parameter, entry.factor = column, parameter, matrix[column, parameter]
-    assert lib.zygos_init(state, config) == 1
+    assert lib.zygos_arm_init(state, config) == 1
     fewer = Flight(known.arm)
     fewer.native, fewer.names = state, whole.names[: p - 6]
     for flight in (whole, fewer):
@@ -555,11 +555,11 @@ def test_a_parameter_whose_place_cannot_be_leads_to_no_other_memory() -> None:
     cycles = sines(arm, 400)
     flight.cycles(part(cycles, 0, 200))
     pristine = ffi.new("zygos_config_t *", flight.native.config)
-    assert lib.zygos_scrub(flight.native, pristine) == 0
+    assert lib.zygos_arm_scrub(flight.native, pristine) == 0
     flight.native.column_map.place[flight.native.column_map.joint[2]] = 2**31
     flight.cycles(part(cycles, 200, 400))
-    assert lib.zygos_scrub(flight.native, pristine) & lib.ZYGOS_SCRUBBED_TABLES
-    assert lib.zygos_scrub(flight.native, pristine) == 0
+    assert lib.zygos_arm_scrub(flight.native, pristine) & lib.ZYGOS_SCRUBBED_TABLES
+    assert lib.zygos_arm_scrub(flight.native, pristine) == 0
 
 
 def test_noise_of_a_rigid_joint_is_that_of_its_motors_encoder() -> None:
@@ -569,7 +569,7 @@ def test_noise_of_a_rigid_joint_is_that_of_its_motors_encoder() -> None:
     for factor in (1.0, 100.0):
         flight, config = Flight(arm), config_of(arm)
         config.joint[1].link_sigma_rad *= factor
-        assert lib.zygos_init(flight.native, config) == 1
+        assert lib.zygos_arm_init(flight.native, config) == 1
         flight.cycles(sines(arm, 400))
         flight.estimate()
         found.append(noise_of_all(flight))
@@ -588,7 +588,7 @@ def test_which_configurations_of_joint_rows_are_refused() -> None:
         for entry, column, parameter in zip(config.reduction, columns.tolist(), parameters.tolist(), strict=False):
             entry.column, entry.parameter, entry.factor = column, parameter, 1.0
         change(config)
-        return int(lib.zygos_init(ffi.new("zygos_t *"), config))
+        return int(lib.zygos_arm_init(ffi.new("zygos_arm_t *"), config))
 
     def setting(name: str, value: float) -> Callable[[Any], None]:
         return lambda config: setattr(config, name, value)

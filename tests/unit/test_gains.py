@@ -125,13 +125,13 @@ def test_c_equals_numpy_where_only_energy_rows_tell(arm: Arm, cycles: Cycles) ->
 
 def test_gains_are_refused_where_they_mean_nothing(arm: Arm) -> None:
     """All joints cannot be relative; a gain needs a prior, and stands behind all other effects."""
-    native = ffi.new("zygos_t *")
+    native = ffi.new("zygos_arm_t *")
 
     def answer(change: Callable[..., None]) -> int:
         config = config_of(with_gain_sigma(arm, SHARE), (effect("motor_viscous", arm.joints[0].name),))
         assert config.effects == 2
         change(config)
-        return int(lib.zygos_init(native, config))
+        return int(lib.zygos_arm_init(native, config))
 
     def every(config: object) -> None:
         config.effect[0].kind, config.effect[0].joint = lib.ZYGOS_TORQUE_GAIN, 0  # type: ignore[attr-defined]

@@ -398,9 +398,9 @@ def test_only_a_valid_estimate_of_this_arm_is_adopted(motion: Trajectory) -> Non
     before = bytes(ffi.buffer(flight.native))
     assert not flight.adopt()
     assert bytes(ffi.buffer(flight.native)) == before
-    assert lib.zygos_adopt(ffi.NULL, flight._estimate) == lib.ZYGOS_E_NULL
-    assert lib.zygos_adopt(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
-    assert lib.zygos_adopt(ffi.new("zygos_t *"), flight._estimate) == lib.ZYGOS_E_ORDER
+    assert lib.zygos_arm_adopt(ffi.NULL, flight._estimate) == lib.ZYGOS_E_NULL
+    assert lib.zygos_arm_adopt(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
+    assert lib.zygos_arm_adopt(ffi.new("zygos_arm_t *"), flight._estimate) == lib.ZYGOS_E_ORDER
     flight.cycles(part(cycles, 30, len(cycles)))
     assert flight.estimate().validity == "valid"
     flight.restart()
@@ -473,7 +473,7 @@ def test_an_arc_is_left_out_from_the_limit_on_that_numpy_has(case: str, arcs_bet
     flight, plain = (Flight(replace(motion.arm, compensate_every=every)) for every in (motion.arm.compensate_every, 0))
     for one in (flight, plain):
         one.cycles(part(cycles, 0, at))
-        assert lib.zygos_end_arcs(one.native) == 1
+        assert lib.zygos_arm_end_arcs(one.native) == 1
     running = Running(motion.arm, flight.estimate(), flight.blocks(), plain.blocks())
     judging = copy_of(flight)
     judging.estimate()
@@ -481,7 +481,7 @@ def test_an_arc_is_left_out_from_the_limit_on_that_numpy_has(case: str, arcs_bet
     for _ in range(arcs_between):
         for one in (flight, plain, judging):
             one.cycles(part(cycles, at, at + 110))
-            assert lib.zygos_end_arcs(one.native) == 1
+            assert lib.zygos_arm_end_arcs(one.native) == 1
         at += 110
     rest, noise = part(cycles, at, at + 120), flight.noise()
 
@@ -525,7 +525,7 @@ def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Tr
     cycles, half = part(seen(motion, 0), 0, 3000), 2000
     flight, rng = Flight(motion.arm), np.random.default_rng(0)
     flight.cycles(part(cycles, 0, half))
-    assert lib.zygos_scrub(flight.native, config_of_its_own(flight)) == 0
+    assert lib.zygos_arm_scrub(flight.native, config_of_its_own(flight)) == 0
     before = copy_of(flight)
     flight.estimate()
     assert flight.adopt()
@@ -550,10 +550,10 @@ def test_a_state_goes_on_with_its_running_solution(motion: Trajectory) -> None:
     flight.cycles(part(faulty, 0, SOON - 100))
     flight.estimate()
     assert flight.adopt()
-    assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == 1
+    assert lib.zygos_arm_resume(flight.native, ffi.addressof(flight.native, "config")) == 1
     flight.cycles(part(faulty, SOON - 100, SOON + 400))
     estimate = flight.estimate()
     assert estimate.left_out[0] == 1
     assert np.all(far(estimate, motion) < 1.0)
     lose_the_way(flight)
-    assert lib.zygos_adopt(flight.native, flight._estimate) == lib.ZYGOS_E_STATE
+    assert lib.zygos_arm_adopt(flight.native, flight._estimate) == lib.ZYGOS_E_STATE

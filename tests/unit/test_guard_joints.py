@@ -63,7 +63,7 @@ def flight_of(arm: Arm, model: Model, *, energy_rows: bool = True) -> Flight:
     if not energy_rows:
         config = config_of(arm, model.effects)
         config.arc_cycles = 0
-        assert lib.zygos_init(flight.native, config) == 1
+        assert lib.zygos_arm_init(flight.native, config) == 1
     return flight
 
 
@@ -224,7 +224,7 @@ def test_segments_that_are_set_aside_are_no_part_of_the_estimate_and_go_on_with_
     np.testing.assert_array_equal(second.value, first.value)
     assert second.noise_ratio == first.noise_ratio
     other = copy_of(flight)
-    assert lib.zygos_resume(other.native, config_of(arm, model.effects)) == 1
+    assert lib.zygos_arm_resume(other.native, config_of(arm, model.effects)) == 1
     assert other.estimate().reason.startswith("the arm changed")
     np.testing.assert_array_equal(other.drift().deviation, flight.drift().deviation)
 
@@ -267,7 +267,7 @@ def test_an_estimate_of_another_flight_judges_the_segments_of_one_that_has_none(
     for residual in (float(first._estimate.residual), 0.0):
         flight = flight_of(arm, model, energy_rows=False)
         first._estimate.residual = residual
-        assert lib.zygos_adopt(flight.native, first._estimate) == 1
+        assert lib.zygos_arm_adopt(flight.native, first._estimate) == 1
         flight.cycles(part(cycles, half, len(cycles)))
         estimate = flight.estimate()
         assert estimate.accepted > 1000 and estimate.left_out[0] == 0

@@ -1,4 +1,4 @@
-"""zygos_solve_in_place(): the same estimate as from a copy, and a state that flies on as if its arcs had ended."""
+"""zygos_arm_solve(): the same estimate as from a copy, and a state that flies on as if its arcs had ended."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def state_of(kind: str, cycles: int | None = None, memory_s: float | None = None
 
 def in_place(flight: Flight) -> tuple[int, Any]:
     solver, out = ffi.new("zygos_solver_t *"), ffi.new("zygos_estimate_t *")
-    return int(lib.zygos_solve_in_place(flight.native, solver, out)), out
+    return int(lib.zygos_arm_solve(flight.native, solver, out)), out
 
 
 def same(out: Any, copied: Estimate) -> None:
@@ -78,7 +78,7 @@ def test_the_estimate_is_that_of_a_copy(kind: str, left: int, memory_s: float | 
     flight = state_of(kind, len(run(kind)[1]) - left, memory_s)
     ended = copy_of(flight)
     if memory_s is not None:
-        assert lib.zygos_end_arcs(ended.native) == 1
+        assert lib.zygos_arm_end_arcs(ended.native) == 1
     copied = ended.estimate()
     answer, out = in_place(flight)
     assert answer == 1
@@ -94,9 +94,9 @@ def test_it_leaves_what_the_end_of_the_arcs_leaves(kind: str, memory_s: float | 
     first = 3 * len(motion) // 4
     solved, ended = state_of(kind, first, memory_s), state_of(kind, first, memory_s)
     assert in_place(solved)[0] == 1
-    assert lib.zygos_end_arcs(ended.native) == 1
+    assert lib.zygos_arm_end_arcs(ended.native) == 1
     again_ended = copy_of(ended)
-    assert lib.zygos_end_arcs(again_ended.native) == 1
+    assert lib.zygos_arm_end_arcs(again_ended.native) == 1
     assert ffi.buffer(again_ended.native) == ffi.buffer(ended.native)
     if memory_s is None:  # otherwise sums have faded, too
         numbers, others = (np.frombuffer(ffi.buffer(one.native), np.float64) for one in (solved, ended))
@@ -119,12 +119,12 @@ def test_arcs_of_rows_that_are_not_configured_need_no_end() -> None:
     config = config_of(arm)
     config.arc_cycles = config.impulse_arc_cycles = 0
     flight = Flight(arm)
-    assert lib.zygos_init(flight.native, config) == 1
+    assert lib.zygos_arm_init(flight.native, config) == 1
     flight.cycles(part(motion, 0, 3000))
     before = flight.blocks()
     assert (before.energy, before.motors, before.momentum) == ([], [], [])
     assert sum(count for _, count in before.joints) > 0.0
-    assert lib.zygos_end_arcs(flight.native) == 1
+    assert lib.zygos_arm_end_arcs(flight.native) == 1
     for (found, count), (sums_before, count_before) in zip(flight.blocks().joints, before.joints, strict=True):
         np.testing.assert_array_equal(found, sums_before)
         assert count == count_before
@@ -139,7 +139,7 @@ def test_the_flight_goes_on(kind: str) -> None:
     flight, straight = state_of(kind, first), state_of(kind)
     assert in_place(flight)[0] == 1
     flight.cycles(part(motion, first, len(motion)))
-    assert lib.zygos_scrub(flight.native, config_of_its_own(flight)) == 0
+    assert lib.zygos_arm_scrub(flight.native, config_of_its_own(flight)) == 0
     answer, out = in_place(flight)
     whole = straight.estimate()
     assert answer == 1
@@ -162,19 +162,19 @@ def test_the_guard_leaves_an_arc_out_as_when_it_ends() -> None:
     answer, out = in_place(flight)
     assert answer == 1
     assert sum(out.left_out) == flight.left_out[0] > left_out
-    assert lib.zygos_adopt(flight.native, out) == 1
+    assert lib.zygos_arm_adopt(flight.native, out) == 1
 
 
 def test_misuse_is_refused() -> None:
     flight = state_of("planar")
     solver, out = ffi.new("zygos_solver_t *"), ffi.new("zygos_estimate_t *")
     for arguments in ((ffi.NULL, solver, out), (flight.native, ffi.NULL, out), (flight.native, solver, ffi.NULL)):
-        assert lib.zygos_solve_in_place(*arguments) == lib.ZYGOS_E_NULL
-    assert lib.zygos_end_arcs(ffi.NULL) == lib.ZYGOS_E_NULL
-    assert lib.zygos_solve_in_place(ffi.new("zygos_t *"), solver, out) == lib.ZYGOS_E_ORDER
+        assert lib.zygos_arm_solve(*arguments) == lib.ZYGOS_E_NULL
+    assert lib.zygos_arm_end_arcs(ffi.NULL) == lib.ZYGOS_E_NULL
+    assert lib.zygos_arm_solve(ffi.new("zygos_arm_t *"), solver, out) == lib.ZYGOS_E_ORDER
     lose_the_way(flight)
     before = copy_of(flight)
-    assert lib.zygos_end_arcs(flight.native) == lib.ZYGOS_E_STATE
+    assert lib.zygos_arm_end_arcs(flight.native) == lib.ZYGOS_E_STATE
     assert in_place(flight)[0] == lib.ZYGOS_E_STATE
     assert ffi.buffer(flight.native) == ffi.buffer(before.native)
 
@@ -193,7 +193,7 @@ def test_sums_that_changed_are_noticed_or_cost_the_open_arc(wrong: Any) -> None:
     begun = state_of("planar", 800)
     before, damaged, answers = begun.estimate(), copy_of(begun), {0: 0, 1: 0}
     for place in sums(begun.native, np.random.default_rng(0)):
-        ffi.memmove(damaged.native, begun.native, ffi.sizeof("zygos_t"))
+        ffi.memmove(damaged.native, begun.native, ffi.sizeof("zygos_arm_t"))
         if wrong == "bit":
             place.flip(damaged.native, 52)
         else:
@@ -204,13 +204,13 @@ def test_sums_that_changed_are_noticed_or_cost_the_open_arc(wrong: Any) -> None:
         p = out.parameters
         if answer == 0:
             assert corrupt and REASONS[out.reason] == CORRUPT, place
-            assert lib.zygos_scrub(damaged.native, config_of_its_own(begun)) > 0, place
+            assert lib.zygos_arm_scrub(damaged.native, config_of_its_own(begun)) > 0, place
         else:
             assert (np.abs(np.array(list(out.value)[:p]) - before.value) < 3.0 * before.half95).all(), place
-            found = lib.zygos_scrub(damaged.native, config_of_its_own(begun))
+            found = lib.zygos_arm_scrub(damaged.native, config_of_its_own(begun))
             if found == lib.ZYGOS_SCRUBBED_TABLES:  # no sum
                 continue
             assert found in (0, lib.ZYGOS_SCRUBBED_BLOCKS) and (found > 0) == corrupt, place
             assert damaged.native.quarantined == corrupt
-        assert lib.zygos_scrub(damaged.native, config_of_its_own(begun)) == 0
+        assert lib.zygos_arm_scrub(damaged.native, config_of_its_own(begun)) == 0
     assert min(answers.values()) >= 3

@@ -20,7 +20,7 @@ from zygos.simulation.scenario import Scenario
 CORRUPT = REASONS[lib.ZYGOS_REASON_CORRUPT]
 MOVED, FACTOR = 0.5, 1.5
 """What a flip that is not noticed may do: move a value by so many sigmas, and change a sigma by this factor."""
-SIZE = ffi.sizeof("zygos_t")
+SIZE = ffi.sizeof("zygos_arm_t")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def harmless(found: Estimate, before: Estimate) -> bool:
 def in_tables(flight: Flight, place: Place, bit: int) -> bool:
     other = copy_of(flight)
     place.flip(other.native, bit)
-    return bool(lib.zygos_scrub(other.native, config_of_its_own(flight)) & lib.ZYGOS_SCRUBBED_TABLES)
+    return bool(lib.zygos_arm_scrub(other.native, config_of_its_own(flight)) & lib.ZYGOS_SCRUBBED_TABLES)
 
 
 @pytest.mark.slow(but=["0-flight"])
@@ -77,8 +77,8 @@ def in_tables(flight: Flight, place: Place, bit: int) -> bool:
 def test_a_flipped_bit_of_any_member_is_refused_or_does_no_harm(
     seed: int, name: str, request: pytest.FixtureRequest
 ) -> None:
-    """And zygos_check() finds what the solver finds. A single number may be a count that leaves no answer, and of what
-    follows from the configuration zygos_scrub() tells."""
+    """And zygos_arm_check() finds what the solver finds. A single number may be a count that leaves no answer; of what
+    follows from the configuration zygos_arm_scrub() tells."""
     flight: Flight = request.getfixturevalue(name)
     rng, own, work = np.random.default_rng(seed), config_of_its_own(flight), ffi.new("zygos_work_t *")
     before, wrong, refused = flight.estimate(), [], 0
@@ -87,17 +87,17 @@ def test_a_flipped_bit_of_any_member_is_refused_or_does_no_harm(
         bit = place.bits(rng, 2)[seed % 2]
         place.flip(flight.native, bit)
         found = flight.estimate()
-        verdict = lib.zygos_check(flight.native, own, work)
+        verdict = lib.zygos_arm_check(flight.native, own, work)
         place.flip(flight.native, bit)
         refused += found.reason == CORRUPT
         silent = place.leaf.count == 1 and found.validity in ("refused", "doubtful")
         if not (found.reason == CORRUPT or silent or harmless(found, before) or in_tables(flight, place, bit)):
             wrong.append(f"{place} bit {bit}: {found.validity} {found.reason}")
         if (found.reason == CORRUPT) > (verdict < 0):
-            wrong.append(f"{place} bit {bit}: not found by zygos_check()")
+            wrong.append(f"{place} bit {bit}: not found by zygos_arm_check()")
     assert wrong == []
     assert refused > 0.15 * len(listed)
-    assert lib.zygos_check(flight.native, own, work) == 1
+    assert lib.zygos_arm_check(flight.native, own, work) == 1
 
 
 @pytest.mark.parametrize("bit", [40, 51, 52, 62, 63])
@@ -129,7 +129,7 @@ def test_a_sum_that_is_not_a_number_is_refused(flight: Flight, value: float) -> 
 @pytest.mark.parametrize("name", ["flight", "ground"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, 1e300])
 def test_an_impossible_number_beside_sums_is_refused(value: float, name: str, request: pytest.FixtureRequest) -> None:
-    """Such as a count of rows. What is loaded may have any number there, and zygos_check() finds what is refused."""
+    """Such as a count of rows. What is loaded may have any number, and zygos_arm_check() finds what is refused."""
     fixture = request.getfixturevalue(name)
     flight: Flight = fixture if name == "flight" else fixture[0]
     own, work = config_of_its_own(flight), ffi.new("zygos_work_t *")
@@ -139,7 +139,7 @@ def test_an_impossible_number_beside_sums_is_refused(value: float, name: str, re
         number = place.values(flight.native)
         kept = number[0]
         number[0] = value
-        after, verdict = flight.estimate(), lib.zygos_check(flight.native, own, work)
+        after, verdict = flight.estimate(), lib.zygos_arm_check(flight.native, own, work)
         number[0] = kept
         assert after.validity == "refused" or harmless(after, before), place
         assert verdict < 0 or after.reason != CORRUPT, place
@@ -194,7 +194,7 @@ def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(flight: Fligh
     before, places = flight.estimate(), sums(flight.native, np.random.default_rng(0))
     later = again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(1))
     soon, late = (resting(flight, later, places, cycles) for cycles in (3, 18))
-    assert lib.zygos_end_arcs(ended.native) == 1
+    assert lib.zygos_arm_end_arcs(ended.native) == 1
     for place, rests, rests_long in zip(places, soon, late, strict=True):
         if not rests or (not rests_long and place.values(ended.native) == 0):  # what comes in turn changes seldom
             ffi.memmove(damaged.native, flight.native, SIZE)
@@ -203,7 +203,7 @@ def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(flight: Fligh
             fly(damaged, motion, 1, np.random.default_rng(1))
             estimate = damaged.estimate()
             assert estimate.validity == "valid", place
-            found = lib.zygos_scrub(damaged.native, config_of_its_own(flight))
+            found = lib.zygos_arm_scrub(damaged.native, config_of_its_own(flight))
             assert not corrupt or (found, damaged.native.quarantined) == (lib.ZYGOS_SCRUBBED_BLOCKS, 1), place
             dropped += corrupt
             assert (np.abs(estimate.value - before.value) < 3.0 * before.half95).all(), place

@@ -61,7 +61,7 @@ def closed(arm: Arm, cycles: Cycles) -> tuple[list[Floats], Floats, Any]:
     flight = Flight(arm)
     flight.cycles(cycles)
     sums = sums_of(flight)
-    assert lib.zygos_end_arcs(flight.native) == 1
+    assert lib.zygos_arm_end_arcs(flight.native) == 1
     lib.zygos_momentum_sums_apply_fade(sums)
     blocks = [symmetric(sums.block[b].rows.gram, sums.columns) for b in range(sums.count)]
     noise = symmetric(sums.noise_closed.gram, sums.columns)
@@ -202,7 +202,7 @@ def test_a_restart_forgets_all() -> None:
     cycles = wandering(arm, 300)
     fresh, again = Flight(arm), Flight(arm)
     again.cycles(cycles)
-    assert lib.zygos_restart(again.native, lib.ZYGOS_KEEP_NOTHING) == 1
+    assert lib.zygos_arm_restart(again.native, lib.ZYGOS_KEEP_NOTHING) == 1
     later = replace(cycles, sync=cycles.sync + np.uint64(1000))
     for flight in (fresh, again):
         flight.cycles(later)
@@ -269,10 +269,10 @@ def test_a_fixed_base_is_refused(tmp_path: Path) -> None:
     arm, _ = random_arm(1, 2, "fixed", "spatial")
     assert arm.momentum_arc_s == 0.0
     config: Any = config_of(arm)
-    native = ffi.new("zygos_t *")
-    assert lib.zygos_init(native, config) == 1
+    native = ffi.new("zygos_arm_t *")
+    assert lib.zygos_arm_init(native, config) == 1
     config.momentum_arc_cycles = 100
-    assert lib.zygos_init(native, config) == lib.ZYGOS_E_BASE
+    assert lib.zygos_arm_init(native, config) == lib.ZYGOS_E_BASE
     path = tmp_path / "arm.toml"
     text = 'name = "a"\nbase = "fixed"\nkinetic = "spatial"\n[arc]\nmomentum_max_s = 5\n'
     path.write_text(text + '[[joint]]\nname = "j"\nnode = 1\naxis = [0, 0, 1]\ngear_ratio = 2\nflexible = false\n'
@@ -302,7 +302,7 @@ def test_a_build_without_room_refuses_them(tmp_path: Path, monkeypatch: pytest.M
     subprocess.run(script, env={**os.environ, "CFLAGS": "-DZYGOS_MOMENTUM=0"}, check=True)
     arm = arm_of("spatial", (True, True))
     cycles = wandering(arm, 200)
-    large, none = ffi.sizeof("zygos_t"), replace(arm, momentum_max_s=0.0)
+    large, none = ffi.sizeof("zygos_arm_t"), replace(arm, momentum_max_s=0.0)
     whole = Flight(none)
     whole.cycles(cycles)
     expected = whole.normal_equations()[0]
@@ -310,13 +310,13 @@ def test_a_build_without_room_refuses_them(tmp_path: Path, monkeypatch: pytest.M
     small_ffi, small = flight_module._load()
     monkeypatch.setattr(flight_module, "ffi", small_ffi)
     monkeypatch.setattr(flight_module, "lib", small)
-    assert small_ffi.sizeof("zygos_t") < large - 15 * ffi.sizeof("zygos_momentum_block_t")
+    assert small_ffi.sizeof("zygos_arm_t") < large - 15 * ffi.sizeof("zygos_momentum_block_t")
     with pytest.raises(ZygosError, match=r"no room for them; remedy: momentum_max_s = 0 in \[arc\]"):
         Flight(arm)
     config: Any = config_of(none)
     config.momentum_arc_cycles = 100
-    native = small_ffi.new("zygos_t *")
-    assert small.zygos_init(native, config) == small.ZYGOS_E_ARC
+    native = small_ffi.new("zygos_arm_t *")
+    assert small.zygos_arm_init(native, config) == small.ZYGOS_E_ARC
     slim = Flight(none)
     slim.cycles(cycles)
     np.testing.assert_array_equal(slim.normal_equations()[0], expected)

@@ -1,4 +1,4 @@
-"""zygos_scrub(): what memory errors change is found, and repaired or left out.
+"""zygos_arm_scrub(): what memory errors change is found, and repaired or left out.
 
 A bit flips in every member of the state in turn, whatever the members are; what must hold then holds for all of them.
 """
@@ -28,7 +28,7 @@ CONFIG, TABLES, PLACES, BLOCKS, SUMS = (
     lib.ZYGOS_SCRUBBED_CONFIG, lib.ZYGOS_SCRUBBED_TABLES, lib.ZYGOS_SCRUBBED_PLACES, lib.ZYGOS_SCRUBBED_BLOCKS,
     lib.ZYGOS_SCRUBBED_SUMS,
 )  # fmt: skip
-SIZE = ffi.sizeof("zygos_t")
+SIZE = ffi.sizeof("zygos_arm_t")
 FURTHER = 450
 """Cycles in which arcs of every kind end."""
 FEW = 90
@@ -55,8 +55,8 @@ class Start:
             return int(lib.zygos_batch_cycles(flight.native, self.rest + first, last - first, ffi.NULL))
         pointer, verdict = ffi.cast("zygos_frame_t *", self.rest.ctypes.data), 0
         for k in range(self.frames * first, self.frames * last):
-            verdict = lib.zygos_frame(flight.native, pointer + k)
-            while verdict >= 0 and (verdict := lib.zygos_step(flight.native)) == 1:
+            verdict = lib.zygos_arm_frame(flight.native, pointer + k)
+            while verdict >= 0 and (verdict := lib.zygos_arm_step(flight.native)) == 1:
                 pass
             if verdict < 0:
                 break
@@ -68,7 +68,7 @@ class Start:
         for first in range(begin, self.count, STEP):
             if self.feed(flight, first, min(first + STEP, self.count)) < 0:
                 quiet = False
-                assert lib.zygos_scrub(flight.native, own) != 0
+                assert lib.zygos_arm_scrub(flight.native, own) != 0
         return quiet
 
     @property
@@ -95,7 +95,7 @@ def flown(*, frames: bool = False) -> tuple[Flight, Cycles]:
         flight.frames(encode(flight.arm, again(flight.arm, motion, 0, rng)))
     else:
         fly(flight, recording(), 2, rng)
-    assert lib.zygos_scrub(flight.native, config_of_its_own(flight)) == 0
+    assert lib.zygos_arm_scrub(flight.native, config_of_its_own(flight)) == 0
     assert flight.estimate().validity == "valid"
     assert flight.adopt()
     rest = again(flight.arm, recording(), int(flight.native.cycle) + 1 + frames, rng)  # of frames one is open
@@ -112,7 +112,7 @@ def start(name: str) -> Start:
         cycles = seen(arm, *torque_of(arm, model, 0, 36.0), 0)
         flight, at = Flight(arm, model.effects), round(31.0 / arm.period_s)
         flight.cycles(part(cycles, 0, at))
-        assert lib.zygos_scrub(flight.native, config_of_its_own(flight)) == 0
+        assert lib.zygos_arm_scrub(flight.native, config_of_its_own(flight)) == 0
         flight.estimate()
         assert flight.adopt()
         flight.cycles(part(cycles, at, at + 100))
@@ -124,7 +124,7 @@ def start(name: str) -> Start:
         of_a_cycle = int(np.flatnonzero(first["id"] == 0x080)[1])
         pointer = ffi.cast("zygos_frame_t *", first.ctypes.data)
         for k in range(3 * of_a_cycle + 2):
-            assert lib.zygos_frame(flight.native, pointer + k) == lib.ZYGOS_ACCEPTED
+            assert lib.zygos_arm_frame(flight.native, pointer + k) == lib.ZYGOS_ACCEPTED
         return Start(flight, first[3 * of_a_cycle + 2 :], of_a_cycle)
     if name == "open arcs":
         flight.cycles(part(rest, 0, 150))
@@ -153,9 +153,9 @@ def told(flight: Flight, estimate: Estimate) -> tuple[object, ...]:
 
 
 def scrubbed(flight: Flight, own: Any, what: object) -> int:
-    """What zygos_scrub() finds, and no second call finds again; a state that it refuses stays refused."""
-    found = int(lib.zygos_scrub(flight.native, own))
-    assert lib.zygos_scrub(flight.native, own) == (found if found < 0 else 0), what
+    """What zygos_arm_scrub() finds, and no second call finds again; a state that it refuses stays refused."""
+    found = int(lib.zygos_arm_scrub(flight.native, own))
+    assert lib.zygos_arm_scrub(flight.native, own) == (found if found < 0 else 0), what
     return found
 
 
@@ -194,7 +194,7 @@ def test_a_flipped_bit_of_any_member_costs_no_more_than_was_found(seed: int, nam
                 estimate.arcs >= before.arcs - 2
             )  # one that is open, and one that waits or a block of which was bad
         if begin.feed(flight, 0, 2) < 0:  # by readings that wait, which only a cycle checks
-            holds &= lib.zygos_scrub(flight.native, own) > 0 and begin.feed(flight, 2, 4) >= 0
+            holds &= lib.zygos_arm_scrub(flight.native, own) > 0 and begin.feed(flight, 2, 4) >= 0
         if not holds:
             wrong.append(f"{place}, bit {bit}: {verdict}, {estimate.validity}")
     assert wrong == []
@@ -210,7 +210,7 @@ def test_no_flipped_bit_of_any_member_moves_an_estimate_in_silence(seed: int, na
     begin = start(name)
     flight, own, wrong, refused = copy_of(begin.flight), begin.own, [], 0
     assert begin.fly(flight, own)
-    assert lib.zygos_scrub(flight.native, own) == 0
+    assert lib.zygos_arm_scrub(flight.native, own) == 0
     expected = flight.estimate()
     expected_told = told(flight, expected)
     for place, bit in damages(name, seed):
@@ -227,7 +227,7 @@ def test_no_flipped_bit_of_any_member_moves_an_estimate_in_silence(seed: int, na
             estimate = flight.estimate()
             holds &= told(flight, estimate) != expected_told or off(estimate, expected) < 3.0
         if begin.feed(flight, begin.count - 2, begin.count) < 0:
-            holds &= lib.zygos_scrub(flight.native, own) > 0
+            holds &= lib.zygos_arm_scrub(flight.native, own) > 0
         if not holds:
             wrong.append(f"{place}, bit {bit}")
     assert wrong == []
@@ -253,7 +253,7 @@ def test_what_two_flipped_bits_change_is_not_used(seed: int, name: str) -> None:
         refused += estimate.validity == "refused"
         assert estimate.validity != "valid" or off(estimate, before) < 6.0
         scrubbed(flight, own, k)
-        assert begin.feed(flight, 0, 2) >= 0 or lib.zygos_scrub(flight.native, own) > 0
+        assert begin.feed(flight, 0, 2) >= 0 or lib.zygos_arm_scrub(flight.native, own) > 0
     assert refused > 10
 
 
@@ -267,7 +267,7 @@ def test_the_same_bit_of_two_places_is_refused_as_that_of_one(bit: int) -> None:
         ffi.memmove(flight.native, begin.flight.native, SIZE)
         for place in places:
             place.flip(flight.native, bit)
-        return begin.feed(flight, 0, 1) == lib.ZYGOS_E_STATE and lib.zygos_scrub(flight.native, own) > 0
+        return begin.feed(flight, 0, 1) == lib.ZYGOS_E_STATE and lib.zygos_arm_scrub(flight.native, own) > 0
 
     listed = [place for place in one_of_each(begin.flight.native, rng) if place.leaf.size == 4 and refused(place)]
     assert len(listed) > 30
@@ -316,19 +316,19 @@ def test_arcs_that_a_changed_table_may_have_spoiled_are_dropped() -> None:
     )
     fly(flight, part(recording(), 0, 600), 1, rng)
     own = config_of_its_own(flight)
-    assert lib.zygos_end_arcs(flight.native) == 1
-    assert lib.zygos_scrub(flight.native, own) == 0
+    assert lib.zygos_arm_end_arcs(flight.native) == 1
+    assert lib.zygos_arm_scrub(flight.native, own) == 0
     verified, damaged, tables = flight.counts["accepted"], copy_of(flight), 0
     for place in one_of_each(flight.native, rng, without=("config",)):
         if place.leaf.kind == "double" and tables < 5:
             ffi.memmove(damaged.native, flight.native, SIZE)
             place.flip(damaged.native, 30)
-            if lib.zygos_scrub(damaged.native, own) == TABLES:
+            if lib.zygos_arm_scrub(damaged.native, own) == TABLES:
                 tables += 1
                 place.flip(damaged.native, 30)
                 fly(damaged, part(recording(), 0, 900), 1, rng)
                 assert damaged.counts["accepted"] >= verified
-                assert lib.zygos_scrub(damaged.native, own) & TABLES, place
+                assert lib.zygos_arm_scrub(damaged.native, own) & TABLES, place
                 assert damaged.counts["accepted"] == verified, place
     assert tables == 5
 
@@ -337,9 +337,9 @@ def test_memory_that_nothing_has_changed_is_left_as_it_is() -> None:
     for name in ("open arcs", "ground"):
         begin = start(name)
         flight = copy_of(begin.flight)
-        assert lib.zygos_scrub(flight.native, begin.own) == 0
+        assert lib.zygos_arm_scrub(flight.native, begin.own) == 0
         settled = copy_of(flight)
-        assert lib.zygos_scrub(flight.native, begin.own) == 0
+        assert lib.zygos_arm_scrub(flight.native, begin.own) == 0
         assert ffi.buffer(flight.native) == ffi.buffer(settled.native)
         assert flight.native.scrubbed == flight.native.cycle
         assert flight.counts == begin.flight.counts
@@ -357,8 +357,8 @@ def test_of_three_configurations_two_must_agree() -> None:
         flight.native.config.period_s *= of_state
         other.period_s *= of_caller
         before = bytes_of(flight.native)
-        assert lib.zygos_scrub(flight.native, other) == lib.ZYGOS_E_CONFIG
-        assert lib.zygos_scrub(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_CONFIG
+        assert lib.zygos_arm_scrub(flight.native, other) == lib.ZYGOS_E_CONFIG
+        assert lib.zygos_arm_scrub(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_CONFIG
         assert bytes_of(flight.native) == before
 
 
@@ -366,11 +366,11 @@ def test_the_magic_number_is_repaired_where_one_bit_is_wrong() -> None:
     begin = start("open arcs")
     flight = copy_of(begin.flight)
     flight.native.magic ^= 1 << 5
-    assert lib.zygos_step(flight.native) == lib.ZYGOS_E_ORDER
+    assert lib.zygos_arm_step(flight.native) == lib.ZYGOS_E_ORDER
     assert scrubbed(flight, begin.own, "magic") == PLACES
-    assert lib.zygos_step(flight.native) == 0
+    assert lib.zygos_arm_step(flight.native) == 0
     flight.native.magic ^= 3
-    assert lib.zygos_scrub(flight.native, begin.own) == lib.ZYGOS_E_ORDER
+    assert lib.zygos_arm_scrub(flight.native, begin.own) == lib.ZYGOS_E_ORDER
 
 
 def test_a_state_that_lost_its_way_does_nothing_before_it_is_scrubbed() -> None:
@@ -380,15 +380,15 @@ def test_a_state_that_lost_its_way_does_nothing_before_it_is_scrubbed() -> None:
     lose_the_way(flight)
     before = bytes_of(flight.native)
     for frame in encode(flight.arm, part(recording(), 0, 3)):
-        lib.zygos_frame(flight.native, ffi.from_buffer("zygos_frame_t *", frame.tobytes()))
-    assert lib.zygos_step(flight.native) == lib.zygos_cycle(flight.native, begin.rest) == lib.ZYGOS_E_STATE
-    assert lib.zygos_end_arcs(flight.native) == lib.ZYGOS_E_STATE
+        lib.zygos_arm_frame(flight.native, ffi.from_buffer("zygos_frame_t *", frame.tobytes()))
+    assert lib.zygos_arm_step(flight.native) == lib.zygos_arm_cycle(flight.native, begin.rest) == lib.ZYGOS_E_STATE
+    assert lib.zygos_arm_end_arcs(flight.native) == lib.ZYGOS_E_STATE
     solver, out = ffi.new("zygos_solver_t *"), ffi.new("zygos_estimate_t *")
-    assert lib.zygos_solve_in_place(flight.native, solver, out) == lib.ZYGOS_E_STATE
-    assert lib.zygos_adopt(flight.native, begin.flight._estimate) == lib.ZYGOS_E_STATE
-    assert lib.zygos_scrub(ffi.NULL, own) == lib.zygos_scrub(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
-    assert lib.zygos_scrub(flight.native, own) > 0
-    assert lib.zygos_step(flight.native) == 1
+    assert lib.zygos_arm_solve(flight.native, solver, out) == lib.ZYGOS_E_STATE
+    assert lib.zygos_arm_adopt(flight.native, begin.flight._estimate) == lib.ZYGOS_E_STATE
+    assert lib.zygos_arm_scrub(ffi.NULL, own) == lib.zygos_arm_scrub(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
+    assert lib.zygos_arm_scrub(flight.native, own) > 0
+    assert lib.zygos_arm_step(flight.native) == 1
     assert bytes_of(flight.native) != before
 
 
@@ -401,5 +401,5 @@ def test_a_restart_makes_an_impossible_queue_possible(keep: int) -> None:
             flight = copy_of(begin.flight)
             place = flight.native.receiver.queue if name == "queue" else flight.native.motor_sums
             setattr(place, member, 2**31 + 5)
-            assert lib.zygos_restart(flight.native, keep) == 1
+            assert lib.zygos_arm_restart(flight.native, keep) == 1
             assert begin.feed(flight, 4, 8) >= 0 and flight.native.cycles > begin.flight.native.cycles, member

@@ -195,12 +195,12 @@ def test_resume_refuses_what_it_was_not_made_for(arm: Arm, tmp_path: Path) -> No
     with pytest.raises(ZygosError, match="state of another configuration"):
         snapshot.resume(other, path)
     assert image_of(other) == before
-    config, raw = config_of(arm), ffi.new("zygos_t *")
-    assert lib.zygos_resume(ffi.NULL, config) == lib.ZYGOS_E_NULL
-    assert lib.zygos_resume(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
-    assert lib.zygos_resume(raw, config) == lib.ZYGOS_E_ORDER
+    config, raw = config_of(arm), ffi.new("zygos_arm_t *")
+    assert lib.zygos_arm_resume(ffi.NULL, config) == lib.ZYGOS_E_NULL
+    assert lib.zygos_arm_resume(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
+    assert lib.zygos_arm_resume(raw, config) == lib.ZYGOS_E_ORDER
     config.period_s = 1.0
-    assert lib.zygos_resume(flight.native, config) == lib.ZYGOS_E_PERIOD
+    assert lib.zygos_arm_resume(flight.native, config) == lib.ZYGOS_E_PERIOD
 
 
 def test_a_number_that_cannot_be_is_refused(arm: Arm, frames: NDArray[Any], tmp_path: Path) -> None:
@@ -211,10 +211,10 @@ def test_a_number_that_cannot_be_is_refused(arm: Arm, frames: NDArray[Any], tmp_
     damaged, own, rng, refused = copy_of(flight), config_of_its_own(flight), np.random.default_rng(0), 0
     listed = one_of_each(flight.native, rng, without=("config",))
     for k, place in enumerate(listed):
-        ffi.memmove(damaged.native, flight.native, ffi.sizeof("zygos_t"))
+        ffi.memmove(damaged.native, flight.native, ffi.sizeof("zygos_arm_t"))
         number, wrong = place.values(damaged.native), (np.nan, -1.0)[k % 2]
         number[0] = wrong if place.leaf.kind == "double" else np.iinfo(place.leaf.dtype).max
-        verdict = lib.zygos_resume(damaged.native, own)
+        verdict = lib.zygos_arm_resume(damaged.native, own)
         if verdict == 1:
             damaged.frames(frames[2000:2160])
             damaged.estimate()
@@ -313,10 +313,10 @@ def test_cycles_in_the_queue_are_forgotten_and_counted(arm: Arm, frames: NDArray
     starts = cycle_starts(frames)
     pointer = ffi.cast("zygos_frame_t *", frames.ctypes.data)
     for k in range(int(starts[5]) + 1):
-        assert lib.zygos_frame(flight.native, pointer + k) == lib.ZYGOS_ACCEPTED
+        assert lib.zygos_arm_frame(flight.native, pointer + k) == lib.ZYGOS_ACCEPTED
     again = resumed(arm, flight, tmp_path)
     assert again.faults["dropped"] == 5
-    assert lib.zygos_step(again.native) == 0
+    assert lib.zygos_arm_step(again.native) == 0
     assert again.counts["cycles"] == 0
 
 
@@ -326,13 +326,13 @@ def test_tables_are_computed_anew(arm: Arm, frames: NDArray[Any]) -> None:
     flight = Flight(arm)
     flight.frames(frames[:3000])
     own, rng, anew = config_of_its_own(flight), np.random.default_rng(0), 0
-    assert lib.zygos_resume(flight.native, own) == 1
+    assert lib.zygos_arm_resume(flight.native, own) == 1
     damaged, begun = copy_of(flight), Flight(arm)
     for place in one_of_each(begun.native, rng, without=("config",)):
         right = place.values(begun.native)[0]
         if right != 0 and right == place.values(flight.native)[0] and place.leaf.kind == "double":
-            ffi.memmove(damaged.native, flight.native, ffi.sizeof("zygos_t"))
+            ffi.memmove(damaged.native, flight.native, ffi.sizeof("zygos_arm_t"))
             place.values(damaged.native)[0] *= 1.0 + 1e-6
-            if lib.zygos_resume(damaged.native, own) == 1:
+            if lib.zygos_arm_resume(damaged.native, own) == 1:
                 anew += bool(place.values(damaged.native)[0] == right)
     assert anew > 8

@@ -40,11 +40,11 @@ def unlike(arm: Arm, cycles: Cycles, flight: Flight | None = None) -> list[str]:
 
 def intact(flight: Flight) -> bool:
     work = ffi.new("zygos_work_t *")
-    return bool(lib.zygos_check(flight.native, config_of_its_own(flight), work) == 1)
+    return bool(lib.zygos_arm_check(flight.native, config_of_its_own(flight), work) == 1)
 
 
 def scrubbed(flight: Flight) -> int:
-    return int(lib.zygos_scrub(flight.native, config_of_its_own(flight)))
+    return int(lib.zygos_arm_scrub(flight.native, config_of_its_own(flight)))
 
 
 def sums(flight: Flight) -> list[Floats]:
@@ -240,7 +240,7 @@ def test_a_changed_bit_amid_tasks_costs_at_most_the_arc_that_closes(arm: Arm, mo
         for place in one_of_each(flight.native, np.random.default_rng(k), without=("config", "receiver", "smoother")):
             number = place.values(flight.native)
             if place.leaf.count > 50 and number != 0 and number != place.values(later.native):
-                ffi.memmove(damaged.native, flight.native, ffi.sizeof("zygos_t"))
+                ffi.memmove(damaged.native, flight.native, ffi.sizeof("zygos_arm_t"))
                 place.flip(damaged.native, 33)
                 lib.zygos_batch_cycles(damaged.native, behind + k, count - k, ffi.NULL)
                 verdict = scrubbed(damaged)
@@ -306,7 +306,7 @@ def test_a_restart_that_keeps_joints_ends_no_arc_of_sums_that_it_clears(arm: Arm
     flight = Flight(replace(with_all_rows(arm), arc_max_s=20.0, impulse_arc_s=5.0))
     until_an_arc_waits(flight, motion)
     known = len(flight.blocks().motors)
-    assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_JOINTS) == 1
+    assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_JOINTS) == 1
     assert (flight.counts["accepted"], len(flight.blocks().motors)) == (0, known)
     assert intact(flight)
 
@@ -340,7 +340,7 @@ def test_what_would_have_faded_with_an_arc_that_is_dropped_fades_with_the_next_o
     for one in (trial, last):
         one.cycles(behind)
     for one in (trial, first, last):
-        assert lib.zygos_end_arcs(one.native) == 1
+        assert lib.zygos_arm_end_arcs(one.native) == 1
     whole, old, new = (one.normal_equations()[0] for one in (trial, first, last))
     left = np.vdot(whole - new, old) / np.vdot(old, old)
     np.testing.assert_allclose(whole, left * old + new, rtol=1e-6, atol=1e-9 * whole.max())

@@ -14,7 +14,7 @@ from zygos.effects import CATALOGUE
 from zygos.native.flight import REASONS, ROWS, VALIDITY, ffi, lib, text_of
 
 ROOT = Path(__file__).resolve().parents[2]
-HEADERS = sorted((ROOT / "include" / "zygos").glob("*.h"))
+HEADERS = sorted((ROOT / "include" / "zygos").rglob("*.h"))
 TEXTS = {
     "zygos_error": lib.zygos_text,
     "zygos_validity": lib.zygos_validity_text,
@@ -97,10 +97,10 @@ def test_a_program_that_asks_for_no_text_links_none(tmp_path: Path) -> None:
     """The library as it is installed: an archive, whose members are linked where something needs them."""
     subprocess.run(["make", "-C", str(ROOT), "library", f"BUILD={tmp_path}"], capture_output=True, check=True)
     found = []
-    for call in ("zygos_init(&arm, 0)", "(zygos_text(zygos_init(&arm, 0))[0] == 'a')"):
+    for call in ("zygos_arm_init(&arm, 0)", "(zygos_text(zygos_arm_init(&arm, 0))[0] == 'a')"):
         source = tmp_path / "main.c"
         source.write_text(
-            f'#include "zygos/zygos.h"\nstatic zygos_t arm;\nint main(void)\n{{\n    return {call};\n}}\n'
+            f'#include "zygos/zygos.h"\nstatic zygos_arm_t arm;\nint main(void)\n{{\n    return {call};\n}}\n'
         )
         program = tmp_path / "program"
         command = ["cc", *house_flags(), "-Werror", "-I", str(ROOT / "include"), str(source)]

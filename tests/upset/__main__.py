@@ -50,7 +50,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
     share = f"{silent} were silent: a share of {silent / trials:.1e}." if silent else "none was silent."
     lines += ["", f"Of {trials:,} trials, {share} Measured with commit {measured_commit()}.", ""]
     hits = [one for result in results.values() for one in result["members"].values() if one]
-    lines += ["| arm | member of `zygos_t` | silent | crash or hang |", "| --- | --- | --- | --- |"] if hits else []
+    lines += ["| arm | member of `zygos_arm_t` | silent | crash or hang |", "| --- | --- | --- | --- |"] if hits else []
     for name, result in results.items():
         hit = result["members"]
         known = sorted({member for one in hit.values() for member in one}, key=lambda m: (-hit["silent"].get(m, 0), m))

@@ -2,9 +2,9 @@
 
    campaign RUN FIRST LAST TRIALS SEED OUT. RUN is what bench/configurations.py writes: three uint32 (size of a
    configuration, size of a frame, number of frames), the configuration and the frames. Bits flip in cycles FIRST to
-   LAST; OUT receives a record for each trial. The caller does what the manual asks: zygos_scrub() once in an arc and
-   before each zygos_take() or zygos_solve_in_place(), and whenever a call returns an error. With CAMPAIGN_IN_PLACE the
-   estimates are made without a copy of the sums. */
+   LAST; OUT receives a record for each trial. The caller does what the manual asks: zygos_arm_scrub() once in an arc
+   and before each zygos_arm_take() or zygos_arm_solve(), and whenever a call returns an error. With CAMPAIGN_IN_PLACE
+   the estimates are made without a copy of the sums. */
 
 #include <signal.h>
 #include <stdint.h>
@@ -52,8 +52,8 @@ static uint32_t *start; /* of each cycle, its first frame */
 static uint32_t cycles;
 static uint32_t every; /* cycles from look to look: an arc */
 static look_t *look;   /* of the flight without a flip */
-static zygos_t *stored;
-static zygos_t *arm;
+static zygos_arm_t *stored;
+static zygos_arm_t *arm;
 #ifdef CAMPAIGN_IN_PLACE
 static zygos_solver_t solver;
 #else
@@ -72,18 +72,18 @@ static void *room_for(size_t bytes)
 }
 
 /* The state ends where a page begins that must not be touched, and begins behind such a page, or nearly so. */
-static zygos_t *fenced(void)
+static zygos_arm_t *fenced(void)
 {
-    const size_t pages = (sizeof(zygos_t) + PAGE - 1u) / PAGE;
+    const size_t pages = (sizeof(zygos_arm_t) + PAGE - 1u) / PAGE;
     unsigned char *room = room_for((pages + 2u) * PAGE);
     (void)mprotect(room, PAGE, PROT_NONE);
     (void)mprotect(room + (pages + 1u) * PAGE, PAGE, PROT_NONE);
-    return (zygos_t *)(void *)(room + (pages + 1u) * PAGE - sizeof(zygos_t));
+    return (zygos_arm_t *)(void *)(room + (pages + 1u) * PAGE - sizeof(zygos_arm_t));
 }
 
 static bool scrubbed(void)
 {
-    return zygos_scrub(arm, &config) == 0;
+    return zygos_arm_scrub(arm, &config) == 0;
 }
 
 /* One cycle. Returns whether no call had anything to say. */
@@ -91,12 +91,12 @@ static bool feed(uint32_t k)
 {
     bool quiet = true;
     for (uint32_t f = start[k]; f < start[k + 1u]; f++) {
-        if (zygos_frame(arm, &frame[f]) < 0) {
+        if (zygos_arm_frame(arm, &frame[f]) < 0) {
             (void)scrubbed();
             quiet = false;
         }
         int verdict;
-        while ((verdict = zygos_step(arm)) == 1) {
+        while ((verdict = zygos_arm_step(arm)) == 1) {
         }
         if (verdict < 0) {
             (void)scrubbed();
@@ -109,17 +109,17 @@ static bool feed(uint32_t k)
 static void estimate_now(void)
 {
 #ifdef CAMPAIGN_IN_PLACE
-    (void)zygos_solve_in_place(arm, &solver, &estimate);
+    (void)zygos_arm_solve(arm, &solver, &estimate);
 #else
-    zygos_take(arm, &work);
-    (void)zygos_solve(&work, &estimate);
+    zygos_arm_take(arm, &work);
+    (void)zygos_work_solve(&work, &estimate);
 #endif
 }
 
 static void see(look_t *out)
 {
     estimate_now();
-    (void)zygos_adopt(arm, &estimate);
+    (void)zygos_arm_adopt(arm, &estimate);
     memset(out, 0, sizeof *out);
     out->estimate = estimate;
     out->seen.faults = arm->receiver.faults;
@@ -166,7 +166,7 @@ static void fly(uint32_t first, uint32_t last, uint64_t seed, record_t *out)
     uint64_t random = seed;
     (void)next(&random);
     const uint32_t at = first + (uint32_t)(next(&random) % (last - first));
-    const uint64_t bit = next(&random) % (8u * sizeof(zygos_t));
+    const uint64_t bit = next(&random) % (8u * sizeof(zygos_arm_t));
     const uint32_t from = (at - first) / APART;
     out->bit = bit;
     out->cycle = at;
@@ -213,7 +213,7 @@ static bool is_read(FILE *run)
     }
     start[cycles] = head[2];
     config.abi = ZYGOS_ABI;
-    return zygos_init(arm, &config) == 1;
+    return zygos_arm_init(arm, &config) == 1;
 }
 
 int main(int argc, char **argv)

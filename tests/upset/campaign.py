@@ -40,7 +40,7 @@ class Campaign:
     first: int
     """First cycle in which bits flip; by then an estimate is adopted."""
     in_place: bool = False
-    """Whether estimates are made without a copy of the sums, `zygos_solve_in_place()`."""
+    """Whether estimates are made without a copy of the sums, `zygos_arm_solve()`."""
 
 
 PLANAR = ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0", "-DZYGOS_MOMENTUM=0")
@@ -90,7 +90,7 @@ def fly(name: str, trials: int, seed: int = 0, folder: Path = FOLDER) -> NDArray
 def leaves_of(name: str) -> list[Leaf]:
     """The numbers of the state in the build of a campaign."""
     with build_of(CAMPAIGNS[name].capacities) as binding:
-        return list(leaves(binding.typeof("zygos_t"), sizeof=binding.sizeof))
+        return list(leaves(binding.typeof("zygos_arm_t"), sizeof=binding.sizeof))
 
 
 def members(name: str, records: NDArray[Any]) -> Counter[str]:

@@ -27,9 +27,9 @@ COUNTED = {"x86-64": ("paper, bare", "paper", "spatial"), "m7": ("paper, bare", 
 """Configurations of tests/bench whose cycles are counted. Those that are not are too slow for a check."""
 CYCLES = 750
 """That are fed."""
-CALLS = ("zygos.h", "solver.h", "snapshot.h", "wire.h", "text.h", "refine.h")
+CALLS = ("zygos.h", "priv/arm.h", "priv/solver.h", "snapshot.h", "wire.h", "text.h", "refine.h")
 """Headers of what onboard software calls."""
-STRUCTS = ("zygos_t", "zygos_work_t", "zygos_estimate_t", "zygos_refine_t")
+STRUCTS = ("zygos_arm_t", "zygos_work_t", "zygos_estimate_t", "zygos_refine_t")
 
 
 def public() -> list[str]:
@@ -59,7 +59,7 @@ def measured(target: str, folder: Path) -> dict[str, float]:
         found[f"instructions of the dearest cycle: {name}"] = int(cycles.max())
         if "bare" in name:
             continue
-        found[f"instructions of zygos_solve(): {name}"] = int(count.tally.solve)
+        found[f"instructions of zygos_work_solve(): {name}"] = int(count.tally.solve)
         size = footprints(target, place / "objects", one.capacities)
         found[f"bytes of code: {name}"] = size[LIBRARY].code
         calls = Calls(place / "objects")

@@ -292,7 +292,7 @@ def _refused(text: str, source: Path) -> set[int]:
 def _state(paths: Iterable[Path]) -> str:
     """Digest of what the mutants are made of."""
     total = hashlib.sha256(Path(__file__).read_bytes())
-    for path in [*paths, *sorted((ROOT / "include" / "zygos").glob("*.h")), *sorted(HEADERS.iterdir())]:
+    for path in [*paths, *sorted((ROOT / "include" / "zygos").rglob("*.h")), *sorted(HEADERS.iterdir())]:
         total.update(path.read_bytes())
     return total.hexdigest()
 

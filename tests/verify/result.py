@@ -50,7 +50,7 @@ def sources(checkout: Path = ROOT) -> list[Path]:
 def digest(checkout: Path = ROOT) -> str:
     """Short digest of the library and its headers, which says of which state a result is."""
     total = hashlib.sha256()
-    headers = sorted((checkout / "include" / "zygos").glob("*.h"))
+    headers = sorted((checkout / "include" / "zygos").rglob("*.h"))
     for path in [*sources(checkout), *headers, checkout / "c" / "flags.txt"]:
         total.update(path.name.encode() + path.read_bytes())
     return total.hexdigest()[:12]

@@ -20,13 +20,13 @@ def _words(comment: str) -> str:
 def codes() -> list[tuple[str, str, str, list[tuple[str, int, str]]]]:
     """Each enumeration of the C library: name, header, comment, and the enumerators with value and comment."""
     found = []
-    for header in sorted(HEADERS.glob("*.h")):
+    for header in sorted(HEADERS.rglob("*.h")):
         for comment, name, body in ENUM.findall(header.read_text()):
             values = {member: value for value, member in ffi.typeof(f"enum {name}").elements.items()}
             members = [(member, values.pop(member), _words(words)) for member, words in MEMBER.findall(body)]
             if values:
                 raise ValueError(f"{header}: {', '.join(values)} of enum {name} not found; remedy: correct MEMBER")
-            found.append((name, header.name, _words(comment), members))
+            found.append((name, str(header.relative_to(HEADERS)), _words(comment), members))
     return found
 
 
@@ -59,7 +59,7 @@ def codes_page() -> str:
         "Every enumeration that a caller of the C library can meet, and the fault counters.",
         *parts,
         "## Fault counters",
-        "Members of `zygos_faults_t` (`zygos/cycle.h`), which have the same names in JSON. `zygos_fault_text()` "
+        "Members of `zygos_faults_t` (`zygos/priv/cycle.h`), which have the same names in JSON. `zygos_fault_text()` "
         "returns the texts.",
         table(("Counter", "What it counts"), faults),
     )

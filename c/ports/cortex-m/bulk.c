@@ -2,17 +2,17 @@
    A computer of the other kind that does the same must come to the same bytes.
 
    run.bin: ZYGOS_ABI and a zygos_config_t; then sections, each of two uint32 (kind, count) and what follows:
-       frames    count zygos_frame_t, each through zygos_frame(), then zygos_step() while cycles wait
-       cycles    count zygos_cycle_t, each through zygos_cycle()
-       image     nothing: zygos_t as it lies in memory
-       estimate  nothing: zygos_take() and zygos_solve(), or, compiled with IN_PLACE=1, zygos_solve_in_place()
+       frames    count zygos_frame_t, each through zygos_arm_frame(), then zygos_arm_step() while cycles wait
+       cycles    count zygos_cycle_t, each through zygos_arm_cycle()
+       image     nothing: zygos_arm_t as it lies in memory
+       estimate  nothing: zygos_arm_take() and zygos_work_solve(), or, compiled with IN_PLACE=1, zygos_arm_solve()
    out.bin: records, each of two uint32 (kind, bytes) and what follows:
-       init      int32: what zygos_init() returned; when it refused, no section is processed
+       init      int32: what zygos_arm_init() returned; when it refused, no section is processed
        verdicts  int8 for each frame or cycle of a section: what the call returned
        instant   for each cycle that was processed: its number, whether it has a row and was accepted, motion and row
        image, estimate
-       sizes     four uint32, at the end: bytes of zygos_t, zygos_work_t (or zygos_solver_t), zygos_estimate_t, and of
-                 stack used */
+       sizes     four uint32, at the end: bytes of zygos_arm_t, zygos_work_t (or zygos_solver_t), zygos_estimate_t, and
+   of stack used */
 
 #include "core.h"
 #include "semihosting.h"
@@ -37,7 +37,7 @@ typedef struct {
 #define IN_PLACE 0
 #endif
 
-static zygos_t arm;
+static zygos_arm_t arm;
 #if IN_PLACE
 static zygos_solver_t work;
 #else
@@ -80,9 +80,9 @@ static bool frames(uint32_t count)
         if (!take(&frame, sizeof frame)) {
             return false;
         }
-        const int8_t verdict = (int8_t)zygos_frame(&arm, &frame);
+        const int8_t verdict = (int8_t)zygos_arm_frame(&arm, &frame);
         put(VERDICTS, &verdict, sizeof verdict);
-        while (zygos_step(&arm) == 1) {
+        while (zygos_arm_step(&arm) == 1) {
             put_instant();
         }
     }
@@ -96,7 +96,7 @@ static bool cycles(uint32_t count)
         if (!take(&cycle, sizeof cycle)) {
             return false;
         }
-        const int8_t verdict = (int8_t)zygos_cycle(&arm, &cycle);
+        const int8_t verdict = (int8_t)zygos_arm_cycle(&arm, &cycle);
         put(VERDICTS, &verdict, sizeof verdict);
         if (verdict == 1) {
             put_instant();
@@ -108,10 +108,10 @@ static bool cycles(uint32_t count)
 static void solve(void)
 {
 #if IN_PLACE
-    (void)zygos_solve_in_place(&arm, &work, &estimate);
+    (void)zygos_arm_solve(&arm, &work, &estimate);
 #else
-    zygos_take(&arm, &work);
-    (void)zygos_solve(&work, &estimate);
+    zygos_arm_take(&arm, &work);
+    (void)zygos_work_solve(&work, &estimate);
 #endif
 }
 
@@ -155,7 +155,7 @@ int main(void)
     if (!take(&abi, sizeof abi) || (abi != ZYGOS_ABI) || !take(&config, sizeof config)) {
         return OTHER_BUILD;
     }
-    const int32_t verdict = zygos_init(&arm, &config);
+    const int32_t verdict = zygos_arm_init(&arm, &config);
     put(INIT, &verdict, sizeof verdict);
     const enum status status = (verdict == 1) ? sections() : DONE;
     const uint32_t sizes[4] = { sizeof arm, sizeof work, sizeof estimate, core_stack_used() };

@@ -1,7 +1,7 @@
 /* Firmware of a flight computer behind a serial line that speaks slcan: frames that come are those of its CAN bus,
    frames that it sends are telemetry.
 
-   The receive interrupt hands each frame to zygos_frame(); the one task there is works off cycles, and at each SYNC
+   The receive interrupt hands each frame to zygos_arm_frame(); the one task there is works off cycles, and at each SYNC
    reports. */
 
 #include "arm_config.h"
@@ -16,7 +16,7 @@
 /* SYNCs from one estimate to the next. */
 #define EVERY 100u
 
-static zygos_t arm;
+static zygos_arm_t arm;
 static node_telemetry_t telemetry;
 static uart_t uart;
 static slcan_t line;
@@ -42,7 +42,7 @@ void uart_receive_interrupt(void)
         zygos_frame_t frame;
         char answer[SLCAN_TEXT];
         if (slcan_take(&line, character, &frame, answer) == 1) {
-            const int verdict = zygos_frame(&arm, &frame);
+            const int verdict = zygos_arm_frame(&arm, &frame);
             syncs += ((verdict == ZYGOS_ACCEPTED) && (frame.flags == 0) && (frame.id == ZYGOS_ID_SYNC)) ? 1u : 0u;
         }
         send(answer);
@@ -59,8 +59,9 @@ static void start_over(void)
 {
     corrupt++;
     core_mask();
-    if ((zygos_restart(&arm, ZYGOS_KEEP_FAULTS) != 1) || (zygos_check(&arm, &arm_config, &telemetry.work) != 1)) {
-        (void)zygos_init(&arm, &arm_config);
+    if ((zygos_arm_restart(&arm, ZYGOS_KEEP_FAULTS) != 1) ||
+        (zygos_arm_check(&arm, &arm_config, &telemetry.work) != 1)) {
+        (void)zygos_arm_init(&arm, &arm_config);
     }
     core_unmask();
 }
@@ -69,7 +70,7 @@ static void start_over(void)
 static void mend(void)
 {
     core_mask();
-    const int found = zygos_scrub(&arm, &arm_config);
+    const int found = zygos_arm_scrub(&arm, &arm_config);
     core_unmask();
     if (found < 0) {
         start_over();
@@ -101,7 +102,7 @@ static void report(void)
 
 int main(void)
 {
-    if (zygos_init(&arm, &arm_config) < 0) {
+    if (zygos_arm_init(&arm, &arm_config) < 0) {
         return 1;
     }
     node_telemetry_init(&telemetry, EVERY);
@@ -112,7 +113,7 @@ int main(void)
     uint32_t reported = 0;
     for (;;) {
         const uint32_t closed = syncs; /* read first: when no cycle waits behind it, theirs are worked off */
-        const int stepped = zygos_step(&arm);
+        const int stepped = zygos_arm_step(&arm);
         if (stepped == 1) {
             continue;
         }

@@ -19,8 +19,8 @@ static void copy(double *out, uint64_t *k, const double *in, uint64_t n)
     *k += n;
 }
 
-/* waited: what zygos_t had of these before the cycle. */
-static void record(const zygos_t *self, const zygos_cycle_t *cycle, const uint64_t *waited, zygos_trace_t *trace)
+/* waited: what zygos_arm_t had of these before the cycle. */
+static void record(const zygos_arm_t *self, const zygos_cycle_t *cycle, const uint64_t *waited, zygos_trace_t *trace)
 {
     if ((trace == NULL) || (trace->count >= trace->capacity)) {
         return;
@@ -69,12 +69,12 @@ static void record(const zygos_t *self, const zygos_cycle_t *cycle, const uint64
     }
 }
 
-int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n, uint8_t *verdict,
+int64_t zygos_batch_frames(zygos_arm_t *self, const zygos_frame_t *frame, uint64_t n, uint8_t *verdict,
                            zygos_trace_t *trace)
 {
     int64_t cycles = 0;
     for (uint64_t i = 0; i < n; i++) {
-        const int reception = zygos_frame(self, &frame[i]);
+        const int reception = zygos_arm_frame(self, &frame[i]);
         if (reception < 0) {
             return reception;
         }
@@ -86,7 +86,7 @@ int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n
             const zygos_cycle_t cycle = *front;
             uint64_t waited[ZYGOS_KINDS_OF_ROWS];
             memcpy(waited, self->waited, sizeof waited);
-            const int stepped = zygos_step(self);
+            const int stepped = zygos_arm_step(self);
             if (stepped < 0) {
                 return stepped;
             }
@@ -97,13 +97,13 @@ int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n
     return cycles;
 }
 
-int64_t zygos_batch_cycles(zygos_t *self, const zygos_cycle_t *cycle, uint64_t n, zygos_trace_t *trace)
+int64_t zygos_batch_cycles(zygos_arm_t *self, const zygos_cycle_t *cycle, uint64_t n, zygos_trace_t *trace)
 {
     int64_t cycles = 0;
     for (uint64_t i = 0; i < n; i++) {
         uint64_t waited[ZYGOS_KINDS_OF_ROWS];
         memcpy(waited, self->waited, sizeof waited);
-        const int used = zygos_cycle(self, &cycle[i]);
+        const int used = zygos_arm_cycle(self, &cycle[i]);
         if (used < 0) {
             return used;
         }

@@ -22,11 +22,11 @@ typedef struct {
 
 /// Receives frames and processes the cycles that they complete. Writes enum zygos_reception of each frame into
 /// verdict[n], which may be null. Returns the number of cycles that were processed, or an enum zygos_error.
-int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n, uint8_t *verdict,
+int64_t zygos_batch_frames(zygos_arm_t *self, const zygos_frame_t *frame, uint64_t n, uint8_t *verdict,
                            zygos_trace_t *trace);
 
 /// Processes cycles in SI units. Returns the number of cycles used, or an enum zygos_error.
-int64_t zygos_batch_cycles(zygos_t *self, const zygos_cycle_t *cycle, uint64_t n, zygos_trace_t *trace);
+int64_t zygos_batch_cycles(zygos_arm_t *self, const zygos_cycle_t *cycle, uint64_t n, zygos_trace_t *trace);
 
 /// Encodes cycles as the traffic of a bus: per cycle SYNC, FTIME (every 50th cycle), the angles and torques of each
 /// joint, the gyro; and one SYNC at the end that closes the last cycle. Returns the number of frames, at most n (4 + 2

@@ -21,7 +21,7 @@
 
 static node_options_t options;
 static zygos_config_t config;
-static zygos_t arm;
+static zygos_arm_t arm;
 static node_bus_t bus;
 static node_telemetry_t telemetry;
 static node_store_t store;
@@ -50,11 +50,11 @@ static void wait_until(double deadline_s, const sigset_t *mask)
 static int begin(bool initialised)
 {
     const int loaded = node_store_load(&store, &config, &arm, &telemetry.work);
-    if ((loaded == 1) || ((loaded == 0) && initialised && (zygos_restart(&arm, ZYGOS_KEEP_FAULTS) == 1) &&
-                          (zygos_check(&arm, &config, &telemetry.work) == 1))) {
+    if ((loaded == 1) || ((loaded == 0) && initialised && (zygos_arm_restart(&arm, ZYGOS_KEEP_FAULTS) == 1) &&
+                          (zygos_arm_check(&arm, &config, &telemetry.work) == 1))) {
         return 1;
     }
-    const int verdict = zygos_init(&arm, &config);
+    const int verdict = zygos_arm_init(&arm, &config);
     return (verdict == 1)
                ? 1
                : node_log("%s: the library refuses the configuration with code %d; remedy: compile the model again",
@@ -82,7 +82,7 @@ static int prepare_refinement(void)
 }
 
 /* Takes the next cycle, and does all that the refinement has to do with it: what is sent depends on the frames alone.
-   Returns what zygos_step() does. */
+   Returns what zygos_arm_step() does. */
 static int step(void)
 {
     if (options.refine >= 0.0) {
@@ -90,7 +90,7 @@ static int step(void)
         while (zygos_refine_step(&fine, &arm.config) == 1) {
         }
     }
-    return zygos_step(&arm);
+    return zygos_arm_step(&arm);
 }
 
 /* Judges what is refined by a new estimate. It begins with the first valid one, and again after a failure. */
@@ -135,14 +135,15 @@ static int start_over(void)
    as start_over() does. */
 static int mend(void)
 {
-    const int found = zygos_scrub(&arm, &config);
+    const int found = zygos_arm_scrub(&arm, &config);
     if (found < 0) {
         return start_over();
     }
     bus.losses.corrupt++;
-    node_log("memory was changed: repaired in place (zygos_scrub(): %d); remedy: none if it is rare, otherwise test "
-             "the memory",
-             found);
+    node_log(
+        "memory was changed: repaired in place (zygos_arm_scrub(): %d); remedy: none if it is rare, otherwise test "
+        "the memory",
+        found);
     return 1;
 }
 
@@ -152,7 +153,7 @@ static int save(void)
     if (store.path == NULL) {
         return 1;
     }
-    const int verdict = zygos_check(&arm, &config, &telemetry.work);
+    const int verdict = zygos_arm_check(&arm, &config, &telemetry.work);
     if (verdict < 1) {
         (void)start_over();
     }
@@ -172,7 +173,7 @@ static int process_batch(uint64_t *frames, uint64_t *syncs)
         return NODE_FAILED;
     }
     for (uint32_t i = 0; i < count; i++) {
-        const int verdict = zygos_frame(&arm, &frame[i]);
+        const int verdict = zygos_arm_frame(&arm, &frame[i]);
         int stepped = step();
         while (stepped == 1) {
             stepped = step();

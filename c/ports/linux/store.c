@@ -174,11 +174,11 @@ static const char *name_of(const node_store_t *self, const char *suffix, char *b
 }
 
 /* Returns 1, 0 where there is no such file, an enum zygos_error, or NOT_READ - errno. */
-static int take_up(const char *path, const zygos_config_t *config, zygos_t *arm, zygos_work_t *work)
+static int take_up(const char *path, const zygos_config_t *config, zygos_arm_t *arm, zygos_work_t *work)
 {
     int verdict = load(path, ZYGOS_SNAPSHOT_STATE, arm, sizeof *arm);
-    verdict = (verdict == 1) ? zygos_check(arm, config, work) : verdict;
-    return (verdict == 1) ? zygos_resume(arm, config) : verdict;
+    verdict = (verdict == 1) ? zygos_arm_check(arm, config, work) : verdict;
+    return (verdict == 1) ? zygos_arm_resume(arm, config) : verdict;
 }
 
 /* path: the file that is not used. aside: what it is called from here on, or null where it stays. */
@@ -207,7 +207,7 @@ static void put_aside(node_store_t *self, int verdict)
     log_refusal(self->path, verdict, self->good ? aside : NULL);
 }
 
-int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *arm, zygos_work_t *work)
+int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_arm_t *arm, zygos_work_t *work)
 {
     if (self->path == NULL) {
         return 0;
@@ -266,7 +266,7 @@ static bool sync_folder(const char *path)
     return done;
 }
 
-static bool write_snapshot(const char *path, const zygos_t *arm)
+static bool write_snapshot(const char *path, const zygos_arm_t *arm)
 {
     uint8_t head[ZYGOS_SNAPSHOT_HEAD];
     (void)zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, arm, head);
@@ -312,7 +312,7 @@ static bool replace(node_store_t *self, const char *partial)
     return sync_folder(self->path);
 }
 
-int node_store_save(node_store_t *self, const zygos_t *arm)
+int node_store_save(node_store_t *self, const zygos_arm_t *arm)
 {
     if (self->path == NULL) {
         return 1;

@@ -36,10 +36,10 @@ int node_store_open(node_store_t *self, const char *path, const char *config);
 /// Goes on from the newest generation that is whole, logs what is wrong with the others, and puts FILE aside when it
 /// cannot be used. Returns 1; 0 when there are no files, or no path, and *arm is as it was; -1 when none of them can be
 /// used: *arm must be initialised. Changes *work, which is scratch.
-int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *arm, zygos_work_t *work);
+int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_arm_t *arm, zygos_work_t *work);
 
-/// Saves a state that zygos_check() found whole. Does nothing without a path. Returns 1, or -1 after logging the
+/// Saves a state that zygos_arm_check() found whole. Does nothing without a path. Returns 1, or -1 after logging the
 /// reason.
-int node_store_save(node_store_t *self, const zygos_t *arm);
+int node_store_save(node_store_t *self, const zygos_arm_t *arm);
 
 #endif

@@ -19,7 +19,7 @@ const char *const node_counter_name[NODE_COUNTERS] = {
     "node_unsaved",         "count_apart",         "count_waited",
 };
 
-void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *out)
+void node_counters(const zygos_arm_t *arm, const node_losses_t *losses, uint64_t *out)
 {
     uint32_t fault[ZYGOS_FAULT_COUNTERS];
     memcpy(fault, &arm->receiver.faults, sizeof fault);
@@ -61,12 +61,12 @@ static void put(node_telemetry_t *self, enum node_kind kind, uint32_t index, dou
     self->items++;
 }
 
-static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses)
+static void solve(node_telemetry_t *self, zygos_arm_t *arm, const node_losses_t *losses)
 {
     zygos_estimate_t *const out = &self->estimate;
-    zygos_take(arm, &self->work);
-    (void)zygos_solve(&self->work, out);
-    (void)zygos_adopt(arm, out);
+    zygos_arm_take(arm, &self->work);
+    (void)zygos_work_solve(&self->work, out);
+    (void)zygos_arm_adopt(arm, out);
     self->items = 0;
     self->next = 0;
     const double verdict[NODE_VERDICTS] = { (double)out->validity,
@@ -105,7 +105,7 @@ static void allot(node_telemetry_t *self)
     self->due = (self->next + share < self->items) ? self->next + share : self->items;
 }
 
-int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses)
+int node_telemetry_sync(node_telemetry_t *self, zygos_arm_t *arm, const node_losses_t *losses)
 {
     const bool solves = (self->syncs == 0u);
     if (solves) {
@@ -149,7 +149,7 @@ void node_telemetry_refined(node_telemetry_t *self, const zygos_refined_t *refin
     allot(self);
 }
 
-int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out)
+int node_telemetry_next(node_telemetry_t *self, const zygos_arm_t *arm, zygos_frame_t *out)
 {
     while (self->next < self->due) {
         const uint32_t k = self->next++;

@@ -52,7 +52,7 @@ typedef struct {
 
 /// Counters in the order of their indices, called as in zygos.dbc.
 extern const char *const node_counter_name[NODE_COUNTERS];
-void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *out);
+void node_counters(const zygos_arm_t *arm, const node_losses_t *losses, uint64_t *out);
 
 /// every: SYNCs from one estimate to the next.
 void node_telemetry_init(node_telemetry_t *self, uint32_t every);
@@ -62,7 +62,7 @@ void node_telemetry_init(node_telemetry_t *self, uint32_t every);
 /// sent all by the next estimate. What has no value is passed over. Nothing here depends on a clock. Returns 1; 2 when
 /// this was a solution; or ZYGOS_E_SUMS when it was one and found the sums corrupt: the port then starts the estimate
 /// over, and counts it.
-int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses);
+int node_telemetry_sync(node_telemetry_t *self, zygos_arm_t *arm, const node_losses_t *losses);
 
 /// Adds what zygos_refine_judge() has written to the values that are due with this solution. Call it between a
 /// node_telemetry_sync() that returned 2 and node_telemetry_next(). Values and deviations are added where they are
@@ -70,7 +70,7 @@ int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_
 void node_telemetry_refined(node_telemetry_t *self, const zygos_refined_t *refined);
 
 /// Takes the next value that is due. Returns 1 and its frame, or 0 when none is.
-int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out);
+int node_telemetry_next(node_telemetry_t *self, const zygos_arm_t *arm, zygos_frame_t *out);
 
 /// Writes the heartbeat's frame.
 void node_telemetry_heartbeat(enum node_heartbeat state, zygos_frame_t *out);

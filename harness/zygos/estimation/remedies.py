@@ -112,7 +112,7 @@ _FIXED = {
     "declare it (torque_gain_sigma in the arm file); if it is exact, the model lacks an effect that looks like it",
     DECLARED: "state the sensors of the arm file as they are: counts or quantum_rad, rate_sigma",
     CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board call "
-    "zygos_restart()",
+    "zygos_arm_restart()",
 }
 
 

@@ -128,7 +128,7 @@ class Watch:
         self._note_arcs()
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
         if not estimate.consecutive:
-            ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_t"))
+            ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_arm_t"))
             self._open.native.guard.known = 0
             self.plainest = self._settled  # the deviation in arcs that were left out was not a change
         # segments of joint rows that contradict are kept, and need no second flight that admits them

@@ -75,7 +75,7 @@ def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
     if drift.changed:
         return (
             f"the arm changed {at}, in standard deviations: {names}; the values {values}; remedy: split "
-            "the log there, or let old arcs fade ([arc] memory_min); on board call zygos_restart()"
+            "the log there, or let old arcs fade ([arc] memory_min); on board call zygos_arm_restart()"
         )
     return (
         f"the data {at} contradict the data before, in standard deviations: {names}; but the balance does not "

@@ -51,7 +51,7 @@ def _load() -> tuple[Any, Any]:
     sizes = {name: binding.sizeof(f"zygos_{name}_t") for name in ("config", "work", "estimate", "cycle", "frame")}
     sizes["work"] -= binding.sizeof("zygos_solver_t")  # it has pointers
     version = library.ZYGOS_VERSION_MAJOR_VALUE * 256 + library.ZYGOS_VERSION_MINOR_VALUE
-    abi = binding.sizeof("zygos_t")
+    abi = binding.sizeof("zygos_arm_t")
     for part in (*sizes.values(), library.ZYGOS_MAX_JOINTS_VALUE, version, library.ZYGOS_LAYOUT_VALUE):
         abi = (abi ^ part) * 16777619 & 0xFFFFFFFF
     if library.zygos_declarations_digest() != declared["DIGEST"] or library.zygos_abi() != abi:
@@ -423,13 +423,13 @@ class Flight:
     """One arm in the C library: frames or cycles in, estimates out."""
 
     def __init__(self, arm: Arm, effects: Sequence[Effect] = ()) -> None:
-        """Initialise ``zygos_t`` for an arm and the effects to find; their values play no part.
+        """Initialise ``zygos_arm_t`` for an arm and the effects to find; their values play no part.
 
         Raises ZygosError when the library refuses the configuration, or has no columns for an effect.
         """
         self.arm = arm
-        self.native = ffi.new("zygos_t *")
-        verdict = lib.zygos_init(self.native, config_of(arm, effects))
+        self.native = ffi.new("zygos_arm_t *")
+        verdict = lib.zygos_arm_init(self.native, config_of(arm, effects))
         if verdict < 0:
             reason = _CONFIG_ERRORS.get(verdict) or text_of(lib.zygos_text, verdict)
             raise ZygosError(
@@ -468,8 +468,8 @@ class Flight:
 
     def estimate(self) -> Estimate:
         """Take and solve. The accumulation is not disturbed."""
-        lib.zygos_take(self.native, self._work)
-        lib.zygos_solve(self._work, self._estimate)
+        lib.zygos_arm_take(self.native, self._work)
+        lib.zygos_work_solve(self._work, self._estimate)
         out, p = self._estimate, self._estimate.parameters
         return Estimate(
             names=self.names,
@@ -507,12 +507,12 @@ class Flight:
 
         An arc that contradicts the running solution when it ends is left out of the sums and counted.
         """
-        return bool(lib.zygos_adopt(self.native, self._estimate) == 1)
+        return bool(lib.zygos_arm_adopt(self.native, self._estimate) == 1)
 
     def drift(self) -> Drift:
         """Compare the newest arc with all before it. The accumulation is not disturbed."""
         deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
-        lib.zygos_take(self.native, self._work)
+        lib.zygos_arm_take(self.native, self._work)
         lib.zygos_detect_change(self._work, self._before, deviation)
         out, p = self._before, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
@@ -521,7 +521,7 @@ class Flight:
     def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
         """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""
         keep = int(keep_faults) * lib.ZYGOS_KEEP_FAULTS + int(keep_joints) * lib.ZYGOS_KEEP_JOINTS
-        if lib.zygos_restart(self.native, keep) < 0:
+        if lib.zygos_arm_restart(self.native, keep) < 0:
             raise ZygosError(
                 f"arm {self.arm.name!r} has no motor rows that could be kept; remedy: [arc] impulse_max_s above 0"
             )
@@ -542,8 +542,8 @@ class Flight:
     def unexplained(self, result: Estimate) -> float:
         """Share of the work's variance about the arc constants that an estimate leaves over; where joint rows alone are
         solved, of the impulses' mean square. NaN without work."""
-        lib.zygos_take(self.native, self._work)
-        lib.zygos_solve(self._work, self._estimate)
+        lib.zygos_arm_take(self.native, self._work)
+        lib.zygos_work_solve(self._work, self._estimate)
         if self._work.solver.joints_alone:
             whole = float(self._work.solver.spread)
             return result.residual**2 * float(self._work.solver.instants) / whole if whole > 0.0 else float("nan")
@@ -557,8 +557,8 @@ class Flight:
 
     def blocks(self) -> Blocks:
         """The blocks behind the sigmas, the open arcs ended; not weighed."""
-        lib.zygos_take(self.native, self._work)
-        lib.zygos_solve(self._work, self._estimate)  # ends the open arcs of the copy
+        lib.zygos_arm_take(self.native, self._work)
+        lib.zygos_work_solve(self._work, self._estimate)  # ends the open arcs of the copy
         sums, joints, momenta = self._work.accumulator, self._work.motor_sums, self._work.momentum_sums
         pointer, width = ffi.addressof(sums), len(self.names) + 1
         return Blocks(
@@ -589,7 +589,7 @@ class Flight:
 
     def _closed(self) -> Any:
         """A copy of the sums whose arcs have ended, also one that waits for that."""
-        lib.zygos_take(self.native, self._work)
+        lib.zygos_arm_take(self.native, self._work)
         lib.zygos_work_settle(self._work)
         sums, guard, config = (ffi.addressof(self._work, name) for name in ("accumulator", "guard", "config"))
         lib.zygos_guard_end_energy(guard, config, sums, self._work.cycle, self._work.arc)

@@ -58,13 +58,15 @@ def _sizes(given: tuple[tuple[str, int], ...]) -> dict[str, int]:
     binding = FFI()
     binding.cdef(_structs(dict(given)))
     structs = {"configuration": "config", "state": "", "work": "work", "solver": "solver", "estimate": "estimate"}
-    return {name: int(binding.sizeof(f"zygos_{struct}_t" if struct else "zygos_t")) for name, struct in structs.items()}
+    return {
+        name: int(binding.sizeof(f"zygos_{struct}_t" if struct else "zygos_arm_t")) for name, struct in structs.items()
+    }
 
 
 def memory(capacities: Mapping[str, int], *, in_place: bool = False) -> dict[str, int]:
     """Bytes of a build with these capacities, by macro: ``configuration``, ``state``, ``work``, ``estimate``.
 
-    in_place: with ``solver`` instead of ``work``, for `zygos_solve_in_place()`. A capacity that is missing has its
+    in_place: with ``solver`` instead of ``work``, for `zygos_arm_solve()`. A capacity that is missing has its
     default. The state has a copy of the configuration; the constant that it is initialised with is memory of its own,
     which may be read-only.
     """

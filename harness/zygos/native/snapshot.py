@@ -12,7 +12,7 @@ from zygos.native.flight import Flight, ffi, lib, text_of
 SnapshotKind = Literal["configuration", "state"]
 _KINDS: dict[SnapshotKind, tuple[int, str]] = {
     "configuration": (lib.ZYGOS_SNAPSHOT_CONFIG, "zygos_config_t"),
-    "state": (lib.ZYGOS_SNAPSHOT_STATE, "zygos_t"),
+    "state": (lib.ZYGOS_SNAPSHOT_STATE, "zygos_arm_t"),
 }
 _HEAD = lib.ZYGOS_SNAPSHOT_HEAD_VALUE
 _REMEDIES = {
@@ -30,7 +30,7 @@ _REMEDIES = {
 
 
 def refusal(path: str | Path, kind: SnapshotKind, code: int) -> ZygosError:
-    """The error for what `zygos_snapshot_check` or `zygos_resume` answers."""
+    """The error for what `zygos_snapshot_check` or `zygos_arm_resume` answers."""
     wrong = text_of(lib.zygos_text, code) if code in _REMEDIES else f"is refused with code {code}"
     if code == lib.ZYGOS_E_KIND:
         wrong = f"is a snapshot of something else, no {kind}"
@@ -38,7 +38,7 @@ def refusal(path: str | Path, kind: SnapshotKind, code: int) -> ZygosError:
 
 
 def seal(kind: SnapshotKind, native: Any) -> bytes:
-    """Head and memory of a ``zygos_config_t *`` or ``zygos_t *``."""
+    """Head and memory of a ``zygos_config_t *`` or ``zygos_arm_t *``."""
     number, _ = _KINDS[kind]
     head = ffi.new("uint8_t[]", _HEAD)
     lib.zygos_snapshot_seal(number, native, head)
@@ -46,7 +46,7 @@ def seal(kind: SnapshotKind, native: Any) -> bytes:
 
 
 def read(path: str | Path, kind: SnapshotKind) -> Any:
-    """The ``zygos_config_t *`` or ``zygos_t *`` of a file.
+    """The ``zygos_config_t *`` or ``zygos_arm_t *`` of a file.
 
     Errors: ZygosError if there is none, or it is not exactly what this build of the library would have sealed.
     """
@@ -76,9 +76,9 @@ def resume(flight: Flight, path: str | Path) -> None:
     """
     state = read(path, "state")
     config = ffi.addressof(flight.native, "config")
-    verdict = lib.zygos_check(state, config, ffi.new("zygos_work_t *"))
+    verdict = lib.zygos_arm_check(state, config, ffi.new("zygos_work_t *"))
     if verdict == 1:
-        verdict = lib.zygos_resume(state, config)
+        verdict = lib.zygos_arm_resume(state, config)
     if verdict < 0:
         raise refusal(path, "state", verdict)
     flight.native = state

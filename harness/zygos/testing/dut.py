@@ -57,8 +57,8 @@ def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0)
     for at in np.flatnonzero((frames["id"] == SYNC) & (frames["flags"] == 0)):
         flight.frames(frames[first:at])
         first = int(at) + 1
-        verdict = lib.zygos_frame(flight.native, ffi.from_buffer("zygos_frame_t[]", frames[at : at + 1].tobytes()))
-        while lib.zygos_step(flight.native) == 1:
+        verdict = lib.zygos_arm_frame(flight.native, ffi.from_buffer("zygos_frame_t[]", frames[at : at + 1].tobytes()))
+        while lib.zygos_arm_step(flight.native) == 1:
             pass
         if verdict != lib.ZYGOS_ACCEPTED:  # a repeated SYNC does not count
             continue

@@ -22,10 +22,10 @@
 #ifndef ZYGOS_MOMENTUM_H
 #define ZYGOS_MOMENTUM_H
 
+#include "../types.h"
 #include "balance.h"
 #include "kinematics.h"
 #include "smoother.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {

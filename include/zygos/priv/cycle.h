@@ -5,14 +5,14 @@
 /// times nor the order of arrival within a cycle are used, so that a log that is replayed at any speed gives the same
 /// bits.
 ///
-/// One producer (zygos_frame(), in an interrupt or a task) and one consumer (zygos_step()) share the queue without a
-/// lock.
+/// One producer (zygos_arm_frame(), in an interrupt or a task) and one consumer (zygos_arm_step()) share the queue
+/// without a lock.
 
 #ifndef ZYGOS_CYCLE_H
 #define ZYGOS_CYCLE_H
 
-#include "types.h"
-#include "wire.h"
+#include "../types.h"
+#include "../wire.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -51,7 +51,7 @@ typedef struct {
 /// Number of counters in zygos_faults_t.
 #define ZYGOS_FAULT_COUNTERS ((uint32_t)(sizeof(zygos_faults_t) / sizeof(uint32_t)))
 
-/// The result of zygos_frame(): the frame has no identifier of this arm, was accepted, or was rejected and counted.
+/// The result of zygos_arm_frame(): the frame has no identifier of this arm, was accepted, or was rejected and counted.
 enum zygos_reception { ZYGOS_FOREIGN = 0, ZYGOS_ACCEPTED = 1, ZYGOS_REJECTED = 2 };
 
 /// Status of reception. It changes with every own frame, also with rejected ones.

@@ -32,10 +32,10 @@
 #ifndef ZYGOS_JOINT_H
 #define ZYGOS_JOINT_H
 
+#include "../types.h"
 #include "balance.h"
 #include "kinematics.h"
 #include "smoother.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {

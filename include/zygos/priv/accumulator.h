@@ -32,9 +32,9 @@
 #ifndef ZYGOS_ACCUMULATOR_H
 #define ZYGOS_ACCUMULATOR_H
 
+#include "../types.h"
 #include "balance.h"
 #include "gram.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -106,29 +106,29 @@ typedef struct {
 
 /// The normal equations of the energy rows.
 typedef struct {
-    uint32_t width;            ///< p + 2.
-    uint32_t count;            ///< Number of blocks in use: of closed arcs, of the closing one, and of the open one.
-    uint32_t open;             ///< Number of blocks of closed arcs, which are the first.
-    uint32_t fresh;            ///< The first block of the open arc; open, if no arc is closing.
-    uint32_t newest;           ///< First block of the newest arcs that have enough instants to be compared.
-    uint32_t window;           ///< First block of the arcs after these, which do not have enough yet.
-    uint32_t ready;            ///< Number of free blocks that are cleared; they have the last places in order.
-    uint32_t arc_instants;     ///< Accepted instants of the open arc.
-    uint32_t arcs;             ///< Arcs that were admitted. This and the next wrap at 2^32.
-    uint32_t arcs_dropped;     ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
-    uint32_t corrupt;          ///< 1: the members under the checksum did not match it, and no single bit explains that.
-    uint32_t filled;           ///< Instants in the buffer that is being filled, accepted or not.
-    uint32_t filling;          ///< Which of the buffers is being filled; the others are added to the blocks.
-    uint32_t parity;           ///< 0 or 1 in turn: which of noise_open is that of the open arc.
-    uint32_t noisy;            ///< 1: noise is declared and subtracted.
-    uint32_t quarantined;      ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t twin;             ///< zygos_accumulator_twin(), with which each cycle compares the members in it.
-    uint32_t task;             ///< One of the tasks above.
-    uint32_t places;           ///< The block of the task, and the one that is added to it.
-    uint32_t row;              ///< The next row of the task.
-    uint32_t rank;             ///< The next block of the closing arc.
-    uint32_t whole;            ///< 1: all that was verified of the closing arc matches.
-    uint32_t admitted;         ///< 1: the closing arc is admitted.
+    uint32_t width;        ///< p + 2.
+    uint32_t count;        ///< Number of blocks in use: of closed arcs, of the closing one, and of the open one.
+    uint32_t open;         ///< Number of blocks of closed arcs, which are the first.
+    uint32_t fresh;        ///< The first block of the open arc; open, if no arc is closing.
+    uint32_t newest;       ///< First block of the newest arcs that have enough instants to be compared.
+    uint32_t window;       ///< First block of the arcs after these, which do not have enough yet.
+    uint32_t ready;        ///< Number of free blocks that are cleared; they have the last places in order.
+    uint32_t arc_instants; ///< Accepted instants of the open arc.
+    uint32_t arcs;         ///< Arcs that were admitted. This and the next wrap at 2^32.
+    uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
+    uint32_t corrupt;      ///< 1: the members under the checksum did not match it, and no single bit explains that.
+    uint32_t filled;       ///< Instants in the buffer that is being filled, accepted or not.
+    uint32_t filling;      ///< Which of the buffers is being filled; the others are added to the blocks.
+    uint32_t parity;       ///< 0 or 1 in turn: which of noise_open is that of the open arc.
+    uint32_t noisy;        ///< 1: noise is declared and subtracted.
+    uint32_t quarantined;  ///< Arcs and blocks that were dropped since the last zygos_arm_scrub(): memory was changed.
+    uint32_t twin;         ///< zygos_accumulator_twin(), with which each cycle compares the members in it.
+    uint32_t task;         ///< One of the tasks above.
+    uint32_t places;       ///< The block of the task, and the one that is added to it.
+    uint32_t row;          ///< The next row of the task.
+    uint32_t rank;         ///< The next block of the closing arc.
+    uint32_t whole;        ///< 1: all that was verified of the closing arc matches.
+    uint32_t admitted;     ///< 1: the closing arc is admitted.
     uint32_t closing_instants; ///< Accepted instants of the closing arc.
     uint32_t closing_cycles;   ///< Its cycles.
     uint32_t means;       ///< Checksum of mean, closing_end and closing_instants, while the constant is eliminated.

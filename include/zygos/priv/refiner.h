@@ -2,7 +2,7 @@
 ///
 /// Rows of the energy balance need no model of how noise passes through the motion, but use a small part of what the
 /// frames hold. This extended Kalman filter uses nearly all of it, if the model is complete. It starts from an
-/// estimate, such as that of zygos_solve(), and improves it with every cycle:
+/// estimate, such as that of zygos_work_solve(), and improves it with every cycle:
 ///
 ///     zygos_refiner_start()      state, parameters and their covariance
 ///     zygos_refiner_read()       the readings at a SYNC
@@ -24,8 +24,8 @@
 #ifndef ZYGOS_REFINER_H
 #define ZYGOS_REFINER_H
 
+#include "../types.h"
 #include "propagation.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -114,8 +114,8 @@ typedef struct {
     double crown[ZYGOS_MAX_READINGS * (ZYGOS_MAX_READINGS + 1) / 2]; ///< Their own columns, packed as in S.
 } zygos_refiner_work_t;
 
-/// Prepares a filter; zygos_refiner_start() has to follow. Needs a configuration that zygos_init() accepts. Returns 1;
-/// ZYGOS_E_VALUE if a joint is rigid or a setting is out of range, then the filter cannot be used.
+/// Prepares a filter; zygos_refiner_start() has to follow. Needs a configuration that zygos_arm_init() accepts. Returns
+/// 1; ZYGOS_E_VALUE if a joint is rigid or a setting is out of range, then the filter cannot be used.
 int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, const zygos_refiner_settings_t *settings);
 
 /// Begins at the SYNC whose readings are used next. x and sigma: n entries in SI units and their standard deviations,

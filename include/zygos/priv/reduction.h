@@ -14,8 +14,8 @@
 #ifndef ZYGOS_REDUCTION_H
 #define ZYGOS_REDUCTION_H
 
+#include "../types.h"
 #include "balance.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {

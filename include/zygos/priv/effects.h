@@ -22,8 +22,8 @@
 #ifndef ZYGOS_EFFECTS_H
 #define ZYGOS_EFFECTS_H
 
+#include "../types.h"
 #include "smoother.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {

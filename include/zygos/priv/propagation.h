@@ -12,9 +12,9 @@
 #ifndef ZYGOS_PROPAGATION_H
 #define ZYGOS_PROPAGATION_H
 
+#include "../types.h"
 #include "balance.h"
 #include "kinematics.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -101,7 +101,7 @@ typedef struct {
 } zygos_propagation_stages_t;
 
 /// Prepares the constants. steps: Runge-Kutta steps in a period, 1..1000; friction: 0 or 1. Needs a configuration that
-/// zygos_init() accepts. Returns 1; ZYGOS_E_VALUE if a joint is rigid or a setting is out of range.
+/// zygos_arm_init() accepts. Returns 1; ZYGOS_E_VALUE if a joint is rigid or a setting is out of range.
 int zygos_propagation_init(zygos_propagation_t *self, const zygos_config_t *config, uint32_t steps, uint32_t friction);
 
 /// Computes the dynamics of p parameters in SI units, followed by Coulomb friction where it is configured.

@@ -21,10 +21,10 @@
 #ifndef ZYGOS_BALANCE_H
 #define ZYGOS_BALANCE_H
 
+#include "../types.h"
 #include "effects.h"
 #include "kinematics.h"
 #include "smoother.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -32,10 +32,10 @@
 #ifndef ZYGOS_IMPULSE_H
 #define ZYGOS_IMPULSE_H
 
+#include "../types.h"
 #include "effects.h"
 #include "kinematics.h"
 #include "smoother.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -11,42 +11,17 @@
 #ifndef ZYGOS_SOLVER_H
 #define ZYGOS_SOLVER_H
 
+#include "../estimate.h"
+#include "../types.h"
 #include "accumulator.h"
 #include "guard.h"
 #include "jointsums.h"
 #include "momentumsums.h"
 #include "motorsums.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/// How far an estimate can be used.
-enum zygos_validity {
-    ZYGOS_REFUSED = 0,  ///< There are no values.
-    ZYGOS_DOUBTFUL = 1, ///< There are values, but the reason says why they must not be trusted.
-    ZYGOS_PARTIAL = 2,  ///< Some parameters are not identifiable yet; the others have values.
-    ZYGOS_VALID = 3     ///< Every parameter has a value and a sigma.
-};
-
-/// Why an estimate is not valid.
-enum zygos_reason {
-    ZYGOS_REASON_NONE = 0,    ///< The estimate is valid.
-    ZYGOS_REASON_NO_DATA = 1, ///< Fewer than three accepted instants for each parameter, or than ZYGOS_MIN_BLOCKS.
-    ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion does not determine every parameter, as rank or sigmas show.
-    ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
-    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
-                                       ///< not positive, or a friction or lag is negative, by more than
-                                       ///< ZYGOS_NEGATIVE_SIGMAS.
-    ZYGOS_REASON_CORRUPT = 5,  ///< Row sums or counts do not match: memory was changed, or zygos_take() was not called.
-    ZYGOS_REASON_UNCLOSED = 6, ///< The residuals are not noise (ZYGOS_CLUSTER_LIMIT): the balance does not close.
-    ZYGOS_REASON_DECLARED = 8, ///< The declared noise is not in the data (ZYGOS_NOISE_ABSENT).
-    ZYGOS_REASON_NOISE = 7,    ///< Noise is as large as the motion in some combination (ZYGOS_MIN_SIGNAL_TO_NOISE).
-    ZYGOS_REASON_CHANGED = 9,  ///< Several consecutive newest arcs contradict the values (guard.h).
-    ZYGOS_REASON_UNEXPLAINED = 10, ///< The residuals are not noise, and exceed ZYGOS_UNEXPLAINED_LIMIT.
-    ZYGOS_REASON_GAIN = 11 ///< The gain of a torque sensor differs from what is declared of it (ZYGOS_GAIN_SIGMAS).
-};
 
 /// A parameter with a smaller scaled pivot is a linear combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
@@ -116,40 +91,6 @@ enum zygos_reason {
 /// A parameter that cannot be negative may be zero, and its estimate negative by up to this number of sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
-/// An estimate of all parameters.
-typedef struct {
-    uint64_t cycle;      ///< SYNC number of the newest cycle in the sums.
-    uint64_t accepted;   ///< Number of instants in the sums.
-    uint64_t refused;    ///< Number of instants that failed the bandwidth test.
-    uint64_t since;      ///< 0, or only arcs after this cycle were used, because older ones were bad (zygos_solve()).
-    uint32_t parameters; ///< p.
-    uint32_t validity;   ///< enum zygos_validity.
-    uint32_t reason;     ///< enum zygos_reason.
-    uint32_t arcs;       ///< Number of arcs in the sums, including the open one; segments, of joint rows alone.
-    uint32_t blocks;     ///< Number of blocks from which the sigmas are computed; groups, of joint rows alone.
-    uint32_t rank;       ///< Number of independent columns.
-    uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Number of excluded arcs, by enum zygos_rows, including open ones.
-    uint32_t consecutive;                   ///< Number of consecutive newest arcs of energy rows that were excluded.
-    double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
-    double cluster;     ///< The statistic of ZYGOS_CLUSTER_LIMIT: around 1 for noise, at most the instants of a block.
-    double residual;    ///< Root mean square of W - row . x without the constants of the arcs [J]; where joint rows
-                        ///< alone are solved, of these [Nms], divided by the torque's deviation if all are declared.
-    double noise_ratio; ///< Square of residual over the share of the declared noise in it; NaN where none is declared.
-    double signal_to_noise; ///< The ratio of ZYGOS_MIN_SIGNAL_TO_NOISE; infinite where no noise is declared.
-    uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1; or 0, and value and sigma are NaN.
-    /// The least squares solution for all columns, 0 for dependent columns; NaN when refused. As a whole it predicts
-    /// the energy of motions like those that it was estimated from. A single entry is meaningful only where value has
-    /// it, too.
-    double solution[ZYGOS_MAX_PARAMETERS];
-    double value[ZYGOS_MAX_PARAMETERS];
-    double sigma[ZYGOS_MAX_PARAMETERS];  ///< One standard deviation: scatter of the blocks, a floor that does not
-                                         ///< average out (ZYGOS_SYSTEMATIC), and the noise of the torques (balance.h).
-    double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for the
-                                         ///< effective number of blocks of the parameter.
-    double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle by rows, of all that is in sigma; NaN where a parameter has
-                                         ///< no value. Positive semi-definite among those that have one.
-} zygos_estimate_t;
-
 /// Where the solver finds the sums, and what it remembers in between. Its five triangles and its vectors of p entries
 /// lie in memory of the accumulator that is free when all arcs have ended. It belongs to the task that solves; its
 /// members are not for reading.
@@ -207,8 +148,8 @@ typedef struct {
     uint32_t other_pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_solver_t;
 
-/// A copy of the sums, and scratch memory of the solver. It is filled by zygos_take() and consumed by zygos_solve(). It
-/// belongs to the task that solves; its members are not for reading.
+/// A copy of the sums, and scratch memory of the solver. It is filled by zygos_arm_take() and consumed by
+/// zygos_work_solve(). It belongs to the task that solves; its members are not for reading.
 typedef struct {
     zygos_accumulator_t accumulator;
     zygos_motor_sums_t motor_sums;
@@ -226,17 +167,17 @@ typedef struct {
     zygos_solver_t solver;
 } zygos_work_t;
 
-/// Solves the normal equations in *work, which is changed, and writes *out. If zygos_adopt() is in use, and the
+/// Solves the normal equations in *work, which is changed, and writes *out. If zygos_arm_adopt() is in use, and the
 /// estimate is not valid because the residuals are larger than noise, the solution is repeated without the oldest
 /// quarter and without the older half of the arcs; the first of these that is valid and has far smaller residuals is
 /// the answer, and out->since is the newest cycle that was excluded. Cost: at the most (2 blocks + 4) Cholesky
 /// factorisations of order p, or up to four times as many if it is repeated. Returns 1 when there are values, 0 when
 /// validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
-int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
+int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out);
 
-/// The parts of zygos_solve_in_place(): whether the sums match, the solution, and the estimate where they do
+/// The parts of zygos_arm_solve(): whether the sums match, the solution, and the estimate where they do
 /// not. They need the members of *self from accumulator to config, and cycle, and that all arcs have ended. The
-/// triangles are free and empty before and afterwards. Cost: as zygos_work_intact() and zygos_solve().
+/// triangles are free and empty before and afterwards. Cost: as zygos_work_intact() and zygos_work_solve().
 bool zygos_solver_matches(const zygos_solver_t *self);
 int zygos_solver_solve(zygos_solver_t *self, zygos_estimate_t *out);
 int zygos_solver_refuse(zygos_estimate_t *out);
@@ -245,9 +186,9 @@ int zygos_solver_refuse(zygos_estimate_t *out);
 /// arc is not as it was accumulated. zygos_work_intact() does this first. Cost: a few passes over the sums of an arc.
 bool zygos_work_settle(zygos_work_t *work);
 
-/// Returns whether the sums and counts in *work are those that were accumulated. Where this is false, zygos_solve()
-/// gives ZYGOS_REASON_CORRUPT. The function changes *work, as zygos_solve() does: call zygos_take() before each of
-/// them. Cost: a few passes over the sums.
+/// Returns whether the sums and counts in *work are those that were accumulated. Where this is false,
+/// zygos_work_solve() gives ZYGOS_REASON_CORRUPT. The function changes *work, as zygos_work_solve() does: call
+/// zygos_arm_take() before each of them. Cost: a few passes over the sums.
 bool zygos_work_intact(zygos_work_t *work);
 
 /// Detects a change of the arm by comparing the newest arc with all arcs before it. An arc with fewer than half the
@@ -272,8 +213,8 @@ bool zygos_work_intact(zygos_work_t *work);
 /// the guard sees no change there is no comparison (ZYGOS_REASON_NO_DATA), and the deviations are NaN until the
 /// segments determine all parameters.
 ///
-/// The function changes *work, as zygos_solve() does: call zygos_take() before each of them. Returns 1; 0 when all
-/// deviations are NaN, because something is not identifiable or not explained, either before (validity is then
+/// The function changes *work, as zygos_work_solve() does: call zygos_arm_take() before each of them. Returns 1; 0 when
+/// all deviations are NaN, because something is not identifiable or not explained, either before (validity is then
 /// ZYGOS_REFUSED) or in the newest arc; or ZYGOS_E_NULL.
 int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 

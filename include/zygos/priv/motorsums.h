@@ -12,8 +12,8 @@
 #ifndef ZYGOS_MOTORSUMS_H
 #define ZYGOS_MOTORSUMS_H
 
+#include "../types.h"
 #include "impulse.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -53,14 +53,14 @@ typedef struct {
     zygos_impulse_column_map_t column_map;
     double noise[ZYGOS_MAX_JOINTS][ZYGOS_MAX_PACKED_IMPULSE]; ///< Expected products of noise in one instant.
     uint32_t count;                                           ///< Number of blocks of closed arcs.
-    uint32_t corrupt;        ///< 1: count and target did not match the checksum, and no single bit explains that.
-    uint32_t instants;       ///< Accepted instants of the open arc.
-    uint32_t cycles;         ///< Instants of the open arc, accepted or not.
-    uint32_t quarantined;    ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t task;           ///< One of the tasks above.
-    uint32_t joint;          ///< The next joint of the task.
-    uint32_t place;          ///< The block that the task changes.
-    uint32_t whole;          ///< 1: all that was compared of the closing arc matches.
+    uint32_t corrupt;     ///< 1: count and target did not match the checksum, and no single bit explains that.
+    uint32_t instants;    ///< Accepted instants of the open arc.
+    uint32_t cycles;      ///< Instants of the open arc, accepted or not.
+    uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_arm_scrub(): memory was changed.
+    uint32_t task;        ///< One of the tasks above.
+    uint32_t joint;       ///< The next joint of the task.
+    uint32_t place;       ///< The block that the task changes.
+    uint32_t whole;       ///< 1: all that was compared of the closing arc matches.
     uint32_t closing_cycles; ///< Instants of the closing arc, accepted or not.
     double target;           ///< Instants up to which blocks are merged.
     uint64_t checksum;       ///< Of count and target.

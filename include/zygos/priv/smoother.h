@@ -10,7 +10,7 @@
 #ifndef ZYGOS_SMOOTHER_H
 #define ZYGOS_SMOOTHER_H
 
-#include "types.h"
+#include "../types.h"
 
 #ifdef __cplusplus
 extern "C" {

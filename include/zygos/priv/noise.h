@@ -20,9 +20,9 @@
 #ifndef ZYGOS_NOISE_H
 #define ZYGOS_NOISE_H
 
+#include "../types.h"
 #include "balance.h"
 #include "smoother.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -1,4 +1,4 @@
-#include "zygos/zygos.h"
+#include "zygos/priv/arm.h"
 
 #include <float.h>
 #include <limits.h>
@@ -174,7 +174,7 @@ int zygos_config_check(const zygos_config_t *config)
 }
 
 /* Of everything that follows from the configuration alone. */
-static uint64_t tables_checksum_of(const zygos_t *self)
+static uint64_t tables_checksum_of(const zygos_arm_t *self)
 {
     const zygos_smoother_t *smoother = &self->smoother;
     const zygos_motor_sums_t *motors = &self->motor_sums;
@@ -207,7 +207,7 @@ static uint32_t least(uint32_t a, uint32_t b)
 }
 
 /* The part of places_of() that many configurations do not have. */
-static uint64_t further_places_of(const zygos_t *self, uint32_t counts)
+static uint64_t further_places_of(const zygos_arm_t *self, uint32_t counts)
 {
     const zygos_config_t *config = &self->config;
     uint64_t fold = zygos_checksum_number(0u, counts); /* so that none of these cancels one of those */
@@ -244,7 +244,7 @@ static uint64_t further_places_of(const zygos_t *self, uint32_t counts)
 }
 
 /* Of every count and index that follows from the configuration and with which a cycle addresses memory. */
-static inline uint32_t places_of(const zygos_t *self)
+static inline uint32_t places_of(const zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->config;
     const zygos_column_map_t *map = &self->column_map;
@@ -287,7 +287,7 @@ static inline uint64_t folded(uint64_t fold, const void *whole, size_t first, si
 
 /* Of the places, counts and integrals that one cycle leaves to the next. A bit that flips there would spoil the rest of
    an arc. */
-static uint64_t moving_of(const zygos_t *self)
+static uint64_t moving_of(const zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->config;
     const zygos_balance_t *balance = &self->balance;
@@ -321,7 +321,7 @@ static uint64_t moving_of(const zygos_t *self)
 
 /* Whether a cycle accesses nothing outside *self. Those that do not follow from the configuration change; they are
    compared with the configuration, which is verified before. */
-static bool is_steady(const zygos_t *self)
+static bool is_steady(const zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->config;
     const zygos_accumulator_t *sums = &self->accumulator;
@@ -335,7 +335,7 @@ static bool is_steady(const zygos_t *self)
 }
 
 /* What follows from the configuration alone. */
-static void make_tables(zygos_t *self)
+static void make_tables(zygos_arm_t *self)
 {
     const zygos_config_t *own = &self->config;
     zygos_balance_column_map(own, &self->column_map);
@@ -376,7 +376,7 @@ static bool is_ieee(void)
            equal((98.0 * one) / divisor, 2.0) && equal((147.0 * one) / divisor, 3.0);
 }
 
-int zygos_init(zygos_t *self, const zygos_config_t *config)
+int zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
         return ZYGOS_E_NULL;
@@ -391,8 +391,8 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     memmove(&self->config, config, sizeof self->config); /* config may point into *self */
     const zygos_config_t *own = &self->config;
     unsigned char *behind = (unsigned char *)(&self->config + 1);
-    memset(self, 0, offsetof(zygos_t, config));
-    memset(behind, 0, sizeof *self - offsetof(zygos_t, config) - sizeof self->config);
+    memset(self, 0, offsetof(zygos_arm_t, config));
+    memset(behind, 0, sizeof *self - offsetof(zygos_arm_t, config) - sizeof self->config);
     make_tables(self);
     zygos_receiver_init(&self->receiver);
     zygos_balance_reset(&self->balance);
@@ -415,7 +415,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     return 1;
 }
 
-int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
+int zygos_arm_frame(zygos_arm_t *self, const zygos_frame_t *frame)
 {
     if ((self == NULL) || (frame == NULL)) {
         return ZYGOS_E_NULL;
@@ -427,14 +427,14 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
 }
 
 /* Whether the sums of closed arcs are multiplied by a product of factors; not by one that cannot be. */
-static bool fades(const zygos_t *self, double product)
+static bool fades(const zygos_arm_t *self, double product)
 {
     return (self->config.forgetting_factor < 1.0) && (product >= 0.0) && (product < 1.0);
 }
 
 /* Sums of closed arcs fade when an arc ends. Who is of use has waited until nothing is being done to them; where an arc
    is too short, all fades with the next one. */
-static void end_arc(zygos_t *self, uint64_t cycle)
+static void end_arc(zygos_arm_t *self, uint64_t cycle)
 {
     if (zygos_accumulator_rests(&self->accumulator)) {
         if (fades(self, self->forgetting)) {
@@ -446,7 +446,7 @@ static void end_arc(zygos_t *self, uint64_t cycle)
     self->arc = 0;
 }
 
-static void end_joint_arc(zygos_t *self, uint64_t cycle)
+static void end_joint_arc(zygos_arm_t *self, uint64_t cycle)
 {
     if (self->motor_sums.task == ZYGOS_MOTOR_NONE) {
         if (fades(self, self->motors_forgetting)) {
@@ -457,7 +457,7 @@ static void end_joint_arc(zygos_t *self, uint64_t cycle)
     (void)zygos_motor_sums_close(&self->motor_sums, cycle);
 }
 
-static void end_momentum_arc(zygos_t *self, uint64_t cycle)
+static void end_momentum_arc(zygos_arm_t *self, uint64_t cycle)
 {
     if (self->momentum_sums.task == ZYGOS_MOMENTUM_NONE) {
         if (fades(self, self->momentum_forgetting)) {
@@ -473,7 +473,7 @@ static void end_momentum_arc(zygos_t *self, uint64_t cycle)
    An arc that ends while the one before it is closing waits until that one is closed, which would cost many times a
    cycle at once. There are no rows of its kind in that time. */
 
-static double *forgetting_of(zygos_t *self, uint32_t kind)
+static double *forgetting_of(zygos_arm_t *self, uint32_t kind)
 {
     if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
         return &self->forgetting;
@@ -481,14 +481,14 @@ static double *forgetting_of(zygos_t *self, uint32_t kind)
     return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors_forgetting : &self->momentum_forgetting;
 }
 
-static bool is_waiting(const zygos_t *self, uint32_t kind)
+static bool is_waiting(const zygos_arm_t *self, uint32_t kind)
 {
     return ((self->ending >> kind) & 1u) != 0;
 }
 
 /* No arc of that kind waits any more: all fades with the next one. The product is 1 then, so that a flipped bit of
    `ending` makes nothing fade. */
-static void drop_waiting(zygos_t *self, uint32_t kind)
+static void drop_waiting(zygos_arm_t *self, uint32_t kind)
 {
     if (is_waiting(self, kind)) {
         *forgetting_of(self, kind) *= self->ended_forgetting[kind];
@@ -497,7 +497,7 @@ static void drop_waiting(zygos_t *self, uint32_t kind)
     self->ended_forgetting[kind] = 1.0;
 }
 
-static void drop_all_waiting(zygos_t *self)
+static void drop_all_waiting(zygos_arm_t *self)
 {
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         drop_waiting(self, kind);
@@ -505,7 +505,7 @@ static void drop_all_waiting(zygos_t *self)
     self->ending = 0; /* without bits of other kinds, which memory may supply */
 }
 
-static void end_arc_of(zygos_t *self, uint32_t kind, uint64_t cycle)
+static void end_arc_of(zygos_arm_t *self, uint32_t kind, uint64_t cycle)
 {
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
         end_joint_arc(self, cycle);
@@ -518,7 +518,7 @@ static void end_arc_of(zygos_t *self, uint32_t kind, uint64_t cycle)
 
 /* Whether the end of the open arc would first have to finish tasks. Blocks of closed arcs that merge have to be whole
    before they fade. */
-static bool has_to_wait(const zygos_t *self, uint32_t kind)
+static bool has_to_wait(const zygos_arm_t *self, uint32_t kind)
 {
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
         return (self->motor_sums.task != ZYGOS_MOTOR_NONE) && !zygos_motor_sums_is_short(&self->motor_sums);
@@ -531,7 +531,7 @@ static bool has_to_wait(const zygos_t *self, uint32_t kind)
 }
 
 /* Ends the open arc, or lets it wait for that. */
-static void end_in_turn(zygos_t *self, uint32_t kind)
+static void end_in_turn(zygos_arm_t *self, uint32_t kind)
 {
     if (!has_to_wait(self, kind)) {
         end_arc_of(self, kind, self->cycle);
@@ -545,7 +545,7 @@ static void end_in_turn(zygos_t *self, uint32_t kind)
 }
 
 /* Ends the arc that waits, if there is one of that kind. */
-static void end_waiting(zygos_t *self, uint32_t kind)
+static void end_waiting(zygos_arm_t *self, uint32_t kind)
 {
     if (is_waiting(self, kind)) {
         double *forgetting = forgetting_of(self, kind);
@@ -558,7 +558,7 @@ static void end_waiting(zygos_t *self, uint32_t kind)
     }
 }
 
-static void end_all_waiting(zygos_t *self)
+static void end_all_waiting(zygos_arm_t *self)
 {
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         end_waiting(self, kind);
@@ -566,7 +566,7 @@ static void end_all_waiting(zygos_t *self)
 }
 
 /* Ends those arcs that no longer have to wait. */
-static void end_free(zygos_t *self)
+static void end_free(zygos_arm_t *self)
 {
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         if (!has_to_wait(self, kind)) {
@@ -575,7 +575,7 @@ static void end_free(zygos_t *self)
     }
 }
 
-static void gap(zygos_t *self)
+static void gap(zygos_arm_t *self)
 {
     self->gaps += (self->smoother.filled > 0) ? 1u : 0u;
     zygos_smoother_reset(&self->smoother);
@@ -591,7 +591,7 @@ static void gap(zygos_t *self)
 }
 
 /* Adds rows that wait to the blocks. Returns how many parts of tasks, with that, cost less than an energy row. */
-static uint32_t share_rows(zygos_t *self)
+static uint32_t share_rows(zygos_arm_t *self)
 {
     const uint32_t most = IDLE_PARTS + ((self->config.compensation > 0) ? 1u : 0u);
     const bool shared = zygos_accumulator_share_slices(&self->accumulator);
@@ -599,7 +599,7 @@ static uint32_t share_rows(zygos_t *self)
 }
 
 /* The tasks proceed in a cycle without rows. */
-static void idle(zygos_t *self)
+static void idle(zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->config;
     const uint32_t parts = share_rows(self);
@@ -617,12 +617,12 @@ static void idle(zygos_t *self)
     }
 }
 
-static void settle_motors(zygos_t *self)
+static void settle_motors(zygos_arm_t *self)
 {
     zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
 }
 
-static void settle_sums(zygos_t *self)
+static void settle_sums(zygos_arm_t *self)
 {
     zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
     settle_motors(self);
@@ -630,7 +630,7 @@ static void settle_sums(zygos_t *self)
 }
 
 /* Finishes what proceeds beside the cycles. */
-static void settle(zygos_t *self)
+static void settle(zygos_arm_t *self)
 {
     settle_sums(self);
     if (self->ending != 0) {
@@ -639,7 +639,7 @@ static void settle(zygos_t *self)
     }
 }
 
-static void drop_after(zygos_t *self, uint32_t kind, uint64_t cycle)
+static void drop_after(zygos_arm_t *self, uint32_t kind, uint64_t cycle)
 {
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
         zygos_motor_sums_drop_after(&self->motor_sums, cycle);
@@ -651,7 +651,7 @@ static void drop_after(zygos_t *self, uint32_t kind, uint64_t cycle)
 }
 
 /* Drops what reaches into the cycles that cannot be trusted. No row of its kind is newer than an arc that waits. */
-static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
+static void void_arcs(zygos_arm_t *self, const zygos_cycle_t *cycle)
 {
     if (!(cycle->flags & ZYGOS_CYCLE_VOID)) {
         return;
@@ -670,14 +670,14 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     }
 }
 
-/* No cycle is processed before zygos_scrub(), which computes the number anew. */
-static void suspect(zygos_t *self)
+/* No cycle is processed before zygos_arm_scrub(), which computes the number anew. */
+static void suspect(zygos_arm_t *self)
 {
     self->places = ~places_of(self);
 }
 
 /* An instant without a row, because an arc of that kind waits; the last such one where the arc can end. */
-static void go_without_row(zygos_t *self, uint32_t kind)
+static void go_without_row(zygos_arm_t *self, uint32_t kind)
 {
     self->waited[kind]++;
     if (!has_to_wait(self, kind)) {
@@ -687,7 +687,7 @@ static void go_without_row(zygos_t *self, uint32_t kind)
 
 /* Whether this cycle is not for the tasks of these rows: with short arcs they always have one. Every other cycle is for
    those of the energy rows, and every fourth one for those of the momentum rows where these wait. */
-static bool yields(const zygos_t *self, uint32_t kind)
+static bool yields(const zygos_arm_t *self, uint32_t kind)
 {
     const uint32_t turn = (uint32_t)(self->cycles & 3u);
     const bool momentum = is_waiting(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && (turn == 1u);
@@ -697,7 +697,7 @@ static bool yields(const zygos_t *self, uint32_t kind)
 
 /* The motor impulse rows of the newest instant, which have arcs of their own. busy: this cycle has done something that
    costs as much as the part of a task; one is enough. Returns the same. */
-static bool add_impulses(zygos_t *self, bool busy)
+static bool add_impulses(zygos_arm_t *self, bool busy)
 {
     const zygos_config_t *config = &self->config;
     if (config->impulse_arc_cycles == 0) {
@@ -725,7 +725,7 @@ static bool add_impulses(zygos_t *self, bool busy)
 }
 
 /* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. busy: as above. */
-static bool add_momentum(zygos_t *self, bool busy)
+static bool add_momentum(zygos_arm_t *self, bool busy)
 {
     const zygos_config_t *config = &self->config;
     if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) || (self->momentum_sums.components == 0) ||
@@ -751,7 +751,7 @@ static bool add_momentum(zygos_t *self, bool busy)
 
 /* The joint rows: integrals of the newest instant, the row that is due, and the next part of a complete segment.
    Returns whether there was a row. */
-static bool add_joints(zygos_t *self)
+static bool add_joints(zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->config;
     if ((ZYGOS_JOINT_ROWS == 0) || (config->joint_row_cycles == 0)) {
@@ -770,7 +770,7 @@ static bool add_joints(zygos_t *self)
 }
 
 /* The energy row of the newest instant. busy: as above. */
-static void add_energy(zygos_t *self, bool busy)
+static void add_energy(zygos_arm_t *self, bool busy)
 {
     const zygos_config_t *config = &self->config;
     zygos_row_t columns; /* before they are reduced, where they are */
@@ -825,7 +825,7 @@ static void add_energy(zygos_t *self, bool busy)
     }
 }
 
-static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
+static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
 {
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
     const bool follows = (self->cycles > 0) && (cycle->sync == self->cycle + 1u) && !(cycle->flags & broken);
@@ -876,7 +876,7 @@ static bool is_same(const zygos_config_t *a, const zygos_config_t *b)
 }
 
 /* Whether what is used as a place, a count or a length can be. What follows from the configuration is computed anew. */
-static bool is_intact(const zygos_t *self)
+static bool is_intact(const zygos_arm_t *self)
 {
     zygos_column_map_t column_map;
     if (zygos_config_check(&self->config) < 0) {
@@ -892,7 +892,7 @@ static bool is_intact(const zygos_t *self)
            (self->ending < (1u << ZYGOS_KINDS_OF_ROWS));
 }
 
-int zygos_resume(zygos_t *self, const zygos_config_t *config)
+int zygos_arm_resume(zygos_arm_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
         return ZYGOS_E_NULL;
@@ -923,7 +923,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
 
 /* Ends the arcs before a cycle whose values must not be used, and counts it. Flags that have changed with the values
    drop an arc at worst. */
-static void leave_out(zygos_t *self, const zygos_cycle_t *cycle)
+static void leave_out(zygos_arm_t *self, const zygos_cycle_t *cycle)
 {
     self->invalid++;
     self->instant = 0;
@@ -931,7 +931,7 @@ static void leave_out(zygos_t *self, const zygos_cycle_t *cycle)
     gap(self);
 }
 
-int zygos_step(zygos_t *self)
+int zygos_arm_step(zygos_arm_t *self)
 {
     if (self == NULL) {
         return ZYGOS_E_NULL;
@@ -973,7 +973,7 @@ static bool usable(const zygos_config_t *config, const zygos_cycle_t *cycle)
     return good;
 }
 
-int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
+int zygos_arm_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
 {
     if ((self == NULL) || (cycle == NULL)) {
         return ZYGOS_E_NULL;
@@ -994,7 +994,7 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     return 1;
 }
 
-int zygos_end_arcs(zygos_t *self)
+int zygos_arm_end_arcs(zygos_arm_t *self)
 {
     if (self == NULL) {
         return ZYGOS_E_NULL;
@@ -1027,7 +1027,7 @@ int zygos_end_arcs(zygos_t *self)
     return 1;
 }
 
-void zygos_take(const zygos_t *self, zygos_work_t *work)
+void zygos_arm_take(const zygos_arm_t *self, zygos_work_t *work)
 {
     if ((self == NULL) || (work == NULL)) {
         return;
@@ -1046,7 +1046,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
     work->config = self->config;
 }
 
-int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
+int zygos_arm_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate)
 {
     if ((self == NULL) || (estimate == NULL)) {
         return ZYGOS_E_NULL;
@@ -1093,7 +1093,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
     return 1;
 }
 
-int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t *work)
+int zygos_arm_check(const zygos_arm_t *self, const zygos_config_t *config, zygos_work_t *work)
 {
     if ((self == NULL) || (config == NULL) || (work == NULL)) {
         return ZYGOS_E_NULL;
@@ -1107,12 +1107,12 @@ int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t 
     if (!is_intact(self)) {
         return ZYGOS_E_STATE;
     }
-    zygos_take(self, work);
+    zygos_arm_take(self, work);
     return zygos_work_intact(work) ? 1 : ZYGOS_E_SUMS;
 }
 
 /* Drops what has not ended: windows, integrals and open arcs. */
-static void drop_open(zygos_t *self)
+static void drop_open(zygos_arm_t *self)
 {
     zygos_smoother_reset(&self->smoother);
     self->smoother.position = 0;
@@ -1130,7 +1130,7 @@ static void drop_open(zygos_t *self)
 }
 
 /* Indices and flags that change. Returns what was found. */
-static uint32_t scrub_places(zygos_t *self)
+static uint32_t scrub_places(zygos_arm_t *self)
 {
     uint32_t found = 0;
     if (!zygos_receiver_intact(&self->receiver)) {
@@ -1151,7 +1151,7 @@ static uint32_t scrub_places(zygos_t *self)
 }
 
 /* The sums of each kind. Returns what was found. */
-static uint32_t scrub_sums(zygos_t *self)
+static uint32_t scrub_sums(zygos_arm_t *self)
 {
     uint32_t found = 0;
     if (!zygos_accumulator_scrub(&self->accumulator, self->column_map.parameters)) {
@@ -1182,7 +1182,7 @@ static uint32_t scrub_sums(zygos_t *self)
 }
 
 /* Drops every arc with a cycle behind the last call. */
-static void drop_unverified(zygos_t *self)
+static void drop_unverified(zygos_arm_t *self)
 {
     const uint64_t trusted = self->scrubbed;
     zygos_accumulator_drop_after(&self->accumulator, trusted);
@@ -1195,7 +1195,7 @@ static void drop_unverified(zygos_t *self)
     zygos_guard_clear(&self->guard, false, self->cycle);
 }
 
-int zygos_scrub(zygos_t *self, const zygos_config_t *config)
+int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
         return ZYGOS_E_NULL;
@@ -1256,7 +1256,7 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
     return (int)found;
 }
 
-int zygos_restart(zygos_t *self, uint32_t keep)
+int zygos_arm_restart(zygos_arm_t *self, uint32_t keep)
 {
     if (self == NULL) {
         return ZYGOS_E_NULL;

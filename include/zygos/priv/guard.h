@@ -2,7 +2,7 @@
 ///
 /// A single arc with a sensor that is stuck, a frame that repeats an old value or a torque that was not applied would
 /// corrupt the sums permanently. Therefore each arc is compared, when it ends, with a running solution x, which
-/// zygos_adopt() takes from a valid estimate. With the centred sums G of an arc and x~ = [x, -1], the sum of its
+/// zygos_arm_adopt() takes from a valid estimate. With the centred sums G of an arc and x~ = [x, -1], the sum of its
 /// squared residuals is x~' G x~ plus the noise that was subtracted. An arc contradicts the solution when this sum
 /// exceeds
 ///
@@ -25,17 +25,18 @@
 ///
 /// When ZYGOS_CONSECUTIVE_ARCS consecutive arcs contradict, the arm has changed. These arcs are excluded, too, and the
 /// estimate, which is still that of the arm before the change, is doubtful (ZYGOS_REASON_CHANGED) until an arc agrees
-/// again, until zygos_restart(), or until the consecutive excluded arcs have more instants than the sums. In the last
-/// case the running solution is discarded, and all arcs are added until the next one is adopted.
+/// again, until zygos_arm_restart(), or until the consecutive excluded arcs have more instants than the sums. In the
+/// last case the running solution is discarded, and all arcs are added until the next one is adopted.
 
 #ifndef ZYGOS_GUARD_H
 #define ZYGOS_GUARD_H
 
+#include "../estimate.h"
+#include "../types.h"
 #include "accumulator.h"
 #include "jointsums.h"
 #include "momentumsums.h"
 #include "motorsums.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -52,10 +53,6 @@ extern "C" {
 #define ZYGOS_GUARD_SHARE 1e-3
 /// Number of excluded arcs whose places are recorded.
 #define ZYGOS_GUARD_ARCS 16u
-
-/// The kinds of rows, each with arcs of its own. Where joint rows alone determine the estimate, they have the place of
-/// the energy rows.
-enum zygos_rows { ZYGOS_ENERGY_ROWS = 0, ZYGOS_MOTOR_ROWS = 1, ZYGOS_MOMENTUM_ROWS = 2, ZYGOS_KINDS_OF_ROWS = 3 };
 
 /// An arc that was excluded.
 typedef struct {
@@ -84,7 +81,7 @@ typedef struct {
     uint32_t parameters; ///< p.
     uint32_t changed;    ///< 1: so many consecutive arcs contradict that the arm has changed.
     uint32_t lost;       ///< Number of times the running solution was found corrupt and was discarded.
-    uint32_t adopting;   ///< 1: zygos_adopt() was called, with whatever result.
+    uint32_t adopting;   ///< 1: zygos_arm_adopt() was called, with whatever result.
     uint32_t comparing;  ///< 1: the closing arc of energy rows is compared with the running solution.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS];        ///< Number of excluded arcs, by enum zygos_rows.
     uint32_t consecutive[ZYGOS_KINDS_OF_ROWS];     ///< Number of consecutive newest arcs among them.
@@ -107,7 +104,7 @@ typedef struct {
     zygos_finding_t momenta;                   ///< Of the closing arc of momentum rows.
     zygos_finding_t momentum_noise;            ///< Of its noise.
     zygos_left_out_t newest[ZYGOS_GUARD_ARCS]; ///< Excluded arc number k is at k % ZYGOS_GUARD_ARCS.
-    uint64_t checksum;                         ///< Of the members after it, which only zygos_adopt() writes.
+    uint64_t checksum;                         ///< Of the members after it, which only zygos_arm_adopt() writes.
     double noise_ratio;                        ///< 0 where no noise is declared.
     double cluster;                            ///< At least ZYGOS_GUARD_CLUSTER.
     zygos_mean_squares_t energy;

@@ -12,9 +12,9 @@
 #ifndef ZYGOS_MOMENTUMSUMS_H
 #define ZYGOS_MOMENTUMSUMS_H
 
+#include "../types.h"
 #include "gram.h"
 #include "momentum.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -76,7 +76,7 @@ typedef struct {
     uint32_t corrupt;                       ///< 1: count and target did not match, and no single bit explains that.
     uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
     uint32_t signals;                       ///< Sensors whose noise is subtracted; 0 where none is.
-    uint32_t quarantined;                   ///< Arcs and blocks that were dropped since the last zygos_scrub().
+    uint32_t quarantined;                   ///< Arcs and blocks that were dropped since the last zygos_arm_scrub().
     uint32_t task;                          ///< One of the tasks above.
     uint32_t row;                           ///< The next row of the task.
     uint32_t place;                         ///< The block that the task changes.

@@ -19,8 +19,8 @@
 #ifndef ZYGOS_KINEMATICS_H
 #define ZYGOS_KINEMATICS_H
 
+#include "../types.h"
 #include "smoother.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -29,9 +29,9 @@
 #ifndef ZYGOS_JOINTSUMS_H
 #define ZYGOS_JOINTSUMS_H
 
+#include "../types.h"
 #include "joint.h"
 #include "smoother.h"
-#include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -99,18 +99,19 @@ typedef struct {
     uint32_t doubtful;    ///< Number of segments that contain void cycles and could not be dropped.
     uint32_t apart_count; ///< Number of its joints whose sums were added.
     uint32_t target;      ///< The group to which it is added.
-    uint32_t quarantined; ///< Groups and segments that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t waiting;     ///< Number of rows that wait.
-    uint32_t pass;        ///< The next two of them that are added, those of noise behind those of rows.
-    uint32_t row;         ///< The next row of the matrix that they are added to.
-    uint64_t segments;    ///< Number of segments that were complete, without those that were set aside.
-    uint64_t accepted;    ///< Number of accepted instants.
-    uint64_t refused;     ///< Number of instants that the bandwidth test refused.
-    uint64_t end;         ///< Number of the newest cycle in a complete segment.
-    uint64_t checksum;    ///< Of the counts and factors.
-    double keep;          ///< Factor by which noise and apart are multiplied when the segment is added.
-    double keep_group;    ///< And its group.
-    double apart_sums;    ///< Number of sums in apart, weighted as they are.
+    uint32_t
+        quarantined;   ///< Groups and segments that were dropped since the last zygos_arm_scrub(): memory was changed.
+    uint32_t waiting;  ///< Number of rows that wait.
+    uint32_t pass;     ///< The next two of them that are added, those of noise behind those of rows.
+    uint32_t row;      ///< The next row of the matrix that they are added to.
+    uint64_t segments; ///< Number of segments that were complete, without those that were set aside.
+    uint64_t accepted; ///< Number of accepted instants.
+    uint64_t refused;  ///< Number of instants that the bandwidth test refused.
+    uint64_t end;      ///< Number of the newest cycle in a complete segment.
+    uint64_t checksum; ///< Of the counts and factors.
+    double keep;       ///< Factor by which noise and apart are multiplied when the segment is added.
+    double keep_group; ///< And its group.
+    double apart_sums; ///< Number of sums in apart, weighted as they are.
     double weight[ZYGOS_MAX_JOINTS];         ///< Factor of each joint's rows [1/Nm, or 1].
     double deviation[ZYGOS_MAX_JOINTS + 3];  ///< Of each signal, times the root of 2 and of their number [rad/s].
     double rotor_variance[ZYGOS_MAX_JOINTS]; ///< Of the rate of each rotor with a spring, times 2 [rad^2/s^2].

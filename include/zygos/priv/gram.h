@@ -5,7 +5,7 @@
 #ifndef ZYGOS_GRAM_H
 #define ZYGOS_GRAM_H
 
-#include "types.h"
+#include "../types.h"
 
 #ifdef __cplusplus
 extern "C" {
