@@ -1,5 +1,7 @@
 #include "zygos/priv/arm.h"
 
+#include "zygos/priv/tables.h"
+
 #include <float.h>
 #include <limits.h>
 #include <stddef.h>
@@ -24,8 +26,6 @@ _Static_assert((sizeof(zygos_joint_config_t) ==
 #define MAGIC 0x7A79676Fu /* "zygo" */
 #define LARGEST_ANGLE 1e4
 #define LARGEST_VALUE 1e6
-#define LARGEST_SUM 1e150
-#define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 #define LONGEST_INCREMENT 1000000u
 /* Parts of tasks in a cycle without rows, which cost less than the rows; one more where these are compensated. */
 #define IDLE_PARTS 2u
@@ -171,34 +171,6 @@ int zygos_config_check(const zygos_config_t *config)
     }
     const int effects = zygos_effects_check(config);
     return (effects < 0) ? effects : zygos_reduction_check(config);
-}
-
-/* Of everything that follows from the configuration alone. */
-static uint64_t tables_checksum_of(const zygos_arm_t *self)
-{
-    const zygos_smoother_t *smoother = &self->smoother;
-    const zygos_motor_sums_t *motors = &self->motor_sums;
-    const zygos_momentum_sums_t *momentum = &self->momentum_sums;
-    const zygos_joint_sums_t *joints = &self->joint_sums;
-    uint64_t sum = zygos_checksum_number(smoother->joints, smoother->window);
-    sum = zygos_checksum_number(sum, self->accumulator.noisy);
-    sum = zygos_checksum_memory(sum, &self->column_map, sizeof self->column_map);
-    sum = zygos_checksum_memory(sum, &self->geometry, sizeof self->geometry);
-    sum = zygos_checksum_memory(sum, smoother->taps, sizeof smoother->taps);
-    sum = zygos_checksum_memory(sum, smoother->gyro, sizeof smoother->gyro);
-    sum = zygos_checksum_memory(sum, smoother->limit, sizeof smoother->limit);
-    sum = zygos_checksum_memory(sum, &self->noise, sizeof self->noise);
-    sum = zygos_checksum_memory(sum, &motors->column_map, sizeof motors->column_map);
-    sum = zygos_checksum_memory(sum, motors->noise, sizeof motors->noise);
-    sum = zygos_checksum_number(zygos_checksum_number(sum, momentum->columns), momentum->components);
-    sum = zygos_checksum_number(sum, momentum->signals);
-    sum = zygos_checksum_memory(sum, momentum->deviation, sizeof momentum->deviation);
-    sum = zygos_checksum_memory(sum, momentum->rotor, sizeof momentum->rotor);
-    sum = zygos_checksum_number(zygos_checksum_number(sum, joints->width), joints->increments);
-    sum = zygos_checksum_number(zygos_checksum_number(sum, joints->slice), joints->share);
-    sum = zygos_checksum_memory(sum, joints->weight, sizeof joints->weight);
-    sum = zygos_checksum_memory(sum, joints->deviation, sizeof joints->deviation);
-    return zygos_checksum_memory(sum, joints->rotor_variance, sizeof joints->rotor_variance);
 }
 
 static uint32_t least(uint32_t a, uint32_t b)
@@ -348,7 +320,7 @@ static void make_tables(zygos_arm_t *self)
     self->accumulator.width = self->column_map.parameters + 2u;
     self->accumulator.noisy = (own->compensation > 0) ? 1u : 0u;
     self->config_checksum = zygos_checksum_memory(0, own, sizeof *own);
-    self->tables_checksum = tables_checksum_of(self);
+    self->tables_checksum = zygos_tables_checksum(self);
     self->places = places_of(self);
 }
 
@@ -516,18 +488,26 @@ static void end_arc_of(zygos_arm_t *self, uint32_t kind, uint64_t cycle)
     }
 }
 
-/* Whether the end of the open arc would first have to finish tasks. Blocks of closed arcs that merge have to be whole
-   before they fade. */
+static bool is_held(const zygos_arm_t *self, uint32_t kind)
+{
+    return ((self->held >> kind) & 1u) != 0;
+}
+
+/* Whether the end of the open arc would first have to finish tasks, or change sums that are being copied. Blocks of
+   closed arcs that merge have to be whole before they fade. */
 static bool has_to_wait(const zygos_arm_t *self, uint32_t kind)
 {
+    const bool held = is_held(self, kind);
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        return (self->motor_sums.task != ZYGOS_MOTOR_NONE) && !zygos_motor_sums_is_short(&self->motor_sums);
+        return (held || (self->motor_sums.task != ZYGOS_MOTOR_NONE)) && !zygos_motor_sums_is_short(&self->motor_sums);
     }
     if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        return (self->momentum_sums.task != ZYGOS_MOMENTUM_NONE) && !zygos_momentum_sums_is_short(&self->momentum_sums);
+        return (held || (self->momentum_sums.task != ZYGOS_MOMENTUM_NONE)) &&
+               !zygos_momentum_sums_is_short(&self->momentum_sums);
     }
     const bool fading = (self->config.forgetting_factor < 1.0) && !zygos_accumulator_rests(&self->accumulator);
-    return (zygos_accumulator_closing(&self->accumulator) || fading) && !zygos_accumulator_is_short(&self->accumulator);
+    return (held || zygos_accumulator_closing(&self->accumulator) || fading) &&
+           !zygos_accumulator_is_short(&self->accumulator);
 }
 
 /* Ends the open arc, or lets it wait for that. */
@@ -598,18 +578,25 @@ static uint32_t share_rows(zygos_arm_t *self)
     return (shared && (self->accumulator.width > ZYGOS_WIDE)) ? 1u : most;
 }
 
+static void proceed_energy(zygos_arm_t *self)
+{
+    if ((self->config.arc_cycles > 0) && !is_held(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
+        zygos_guard_proceed_energy(&self->guard, &self->config, &self->accumulator);
+    }
+}
+
 /* The tasks proceed in a cycle without rows. */
 static void idle(zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->config;
     const uint32_t parts = share_rows(self);
     for (uint32_t part = 0; part < parts; part++) {
-        if (self->motor_sums.task != ZYGOS_MOTOR_NONE) {
+        if ((self->motor_sums.task != ZYGOS_MOTOR_NONE) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS)) {
             (void)zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
-        } else if (self->momentum_sums.task != ZYGOS_MOMENTUM_NONE) {
+        } else if ((self->momentum_sums.task != ZYGOS_MOMENTUM_NONE) && !is_held(self, (uint32_t)ZYGOS_MOMENTUM_ROWS)) {
             (void)zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums);
-        } else if (config->arc_cycles > 0) {
-            zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
+        } else {
+            proceed_energy(self);
         }
         if (self->ending != 0) {
             end_free(self);
@@ -661,6 +648,7 @@ static void void_arcs(zygos_arm_t *self, const zygos_cycle_t *cycle)
     if ((doubtful != 0) && (self->cycle <= trusted)) {
         return;
     }
+    self->dropped++;
     zygos_joint_sums_drop_after(&self->joint_sums, trusted);
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         if (!is_waiting(self, kind) || (self->ended[kind] > trusted)) {
@@ -712,7 +700,7 @@ static bool add_impulses(zygos_arm_t *self, bool busy)
     if (!waits) {
         zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
     }
-    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOTOR_ROWS) &&
+    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOTOR_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS) &&
                     zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums));
     if (waits) {
         go_without_row(self, (uint32_t)ZYGOS_MOTOR_ROWS);
@@ -737,7 +725,7 @@ static bool add_momentum(zygos_arm_t *self, bool busy)
         zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->arm_state, &self->motion,
                                 self->arm_state.accepted);
     }
-    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) &&
+    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) &&
                     zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums));
     if (waits) {
         go_without_row(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
@@ -784,7 +772,7 @@ static void add_energy(zygos_arm_t *self, bool busy)
         const uint32_t most = share_rows(self);
         const uint32_t parts = busy ? 1u : most;
         for (uint32_t part = 0; part < parts; part++) {
-            zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
+            proceed_energy(self);
         }
         go_without_row(self, (uint32_t)ZYGOS_ENERGY_ROWS);
         zygos_balance_new_arc(&self->balance);
@@ -809,7 +797,7 @@ static void add_energy(zygos_arm_t *self, bool busy)
     /* The noise of the first link is that of all bodies, which costs the most. */
     const bool dear = (config->compensation > TURNS) && (self->arc % config->compensation == 0);
     if (!opened && !busy && !dear) {
-        zygos_guard_proceed_energy(&self->guard, config, &self->accumulator);
+        proceed_energy(self);
     }
     if (!whole) {
         suspect(self);
@@ -860,7 +848,9 @@ static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
         return;
     }
     zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
-    add_energy(self, add_momentum(self, add_impulses(self, add_joints(self))));
+    self->added = (self->arm_state.accepted > 0.0) ? self->cycle : self->added;
+    const bool busy = add_joints(self) || (self->beside != 0);
+    add_energy(self, add_momentum(self, add_impulses(self, busy)));
 }
 
 /* Not memcmp(): compilers make a call of bcmp() of it. A configuration has no padding. */
@@ -1057,40 +1047,13 @@ int zygos_arm_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate)
     if (!is_steady(self) || !is_intact(self)) {
         return ZYGOS_E_STATE;
     }
-    zygos_guard_t *guard = &self->guard;
-    const uint32_t p = self->column_map.parameters;
-    const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
-                              (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (guard->known == 0);
-    bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && (estimate->parameters == p) &&
-                (estimate->cycle > guard->since) && within(estimate->residual, 0.0, LARGEST_SUM);
-    double wider[ZYGOS_MAX_PARAMETERS];
-    for (uint32_t i = 0; good && (i < p); i++) {
-        wider[i] = (estimate->sigma[i] > 0.0) ? estimate->half95[i] / (TWO_SIGMAS * estimate->sigma[i]) : 1.0;
-        good = within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && within(wider[i], 0.0, LARGEST_SUM);
-    }
-    guard->adopting = 1;
+    self->guard.adopting = 1;
     settle(self);
-    if (!good) {
-        self->moving = moving_of(self);
-        return 0;
-    }
-    if (estimate->since > 0) {
-        zygos_guard_drop(guard, &self->accumulator, &self->motor_sums, &self->momentum_sums, estimate->since);
-    }
-    const double ratio = estimate->noise_ratio;
-    guard->noise_ratio = within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
-    guard->cluster = (estimate->cluster > ZYGOS_GUARD_CLUSTER) ? estimate->cluster : ZYGOS_GUARD_CLUSTER;
-    guard->energy.residual = estimate->residual * estimate->residual;
-    memcpy(guard->solution, estimate->solution, sizeof guard->solution);
-    for (uint32_t i = 0, k = 0; i < p; i++) {
-        for (uint32_t j = 0; j <= i; j++, k++) {
-            guard->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
-        }
-    }
-    zygos_guard_begin(guard, &self->config, &self->column_map, &self->accumulator, &self->motor_sums,
-                      &self->momentum_sums, &self->joint_sums);
+    self->dropped++; /* tasks were finished at once */
+    const bool adopted = zygos_guard_adopt(&self->guard, &self->config, &self->column_map, &self->accumulator,
+                                           &self->motor_sums, &self->momentum_sums, &self->joint_sums, estimate);
     self->moving = moving_of(self);
-    return 1;
+    return adopted ? 1 : 0;
 }
 
 int zygos_arm_check(const zygos_arm_t *self, const zygos_config_t *config, zygos_work_t *work)
@@ -1220,7 +1183,7 @@ int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
     }
     self->magic = MAGIC;
     const bool tables = (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config)) ||
-                        (self->tables_checksum != tables_checksum_of(self)) || (self->places != places_of(self));
+                        (self->tables_checksum != zygos_tables_checksum(self)) || (self->places != places_of(self));
     if (tables) {
         found |= (uint32_t)ZYGOS_SCRUBBED_TABLES;
     }

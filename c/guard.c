@@ -6,6 +6,8 @@
 #include <string.h>
 
 /* Number of standard deviations of a contradiction, as ZYGOS_CHANGE_ALARM. */
+#define LARGEST_SUM 1e150
+#define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 #define SIGMAS 6.0
 /* Divisor of the mean square of a random walk about its own mean, as in the solver. */
 #define WALK 10.0
@@ -32,7 +34,9 @@ void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle)
 static uint64_t checksum_of(const zygos_guard_t *self)
 {
     const unsigned char *from = (const unsigned char *)&self->noise_ratio;
-    const size_t words = (sizeof *self - offsetof(zygos_guard_t, noise_ratio)) / sizeof(uint64_t);
+    const size_t fixed = offsetof(zygos_guard_t, covariance) - offsetof(zygos_guard_t, noise_ratio);
+    const uint32_t p = (self->parameters < ZYGOS_MAX_PARAMETERS) ? self->parameters : ZYGOS_MAX_PARAMETERS;
+    const size_t words = fixed / sizeof(uint64_t) + zygos_gram_entries(p);
     uint64_t hash = 14695981039346656037u ^ self->parameters;
     for (size_t i = 0; i < words; i++) {
         uint64_t word;
@@ -610,11 +614,23 @@ static double spread_of_joints(const zygos_joint_sums_t *sums)
     return (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
 }
 
-void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
-                       const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints)
+static void activate(zygos_guard_t *self, uint32_t parameters)
 {
-    const uint32_t p = column_map->parameters;
+    if (self->known == 0) { /* the first, or that of another arm */
+        memset(self->consecutive, 0, sizeof self->consecutive);
+        memset(self->instants, 0, sizeof self->instants);
+        memset(self->agreeing_instants, 0, sizeof self->agreeing_instants);
+        self->changed = 0;
+    }
+    self->known = 1;
+    self->parameters = parameters;
+}
+
+/* Activates the running solution that was written (noise_ratio, cluster, energy.residual, solution, covariance). */
+static void begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                  const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
+                  const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints)
+{
     double n = 0.0;
     self->energy.spread = zygos_joint_sums_suffice(config) ? spread_of_joints(joints) : spread_of_energy(energy);
     memset(self->motor, 0, sizeof self->motor);
@@ -649,13 +665,54 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
         found.spread += momentum->noise_fade * noise.spread;
     }
     self->momentum = mean_squares_of(&found, n);
-    if (self->known == 0) { /* the first, or that of another arm */
-        memset(self->consecutive, 0, sizeof self->consecutive);
-        memset(self->instants, 0, sizeof self->instants);
-        memset(self->agreeing_instants, 0, sizeof self->agreeing_instants);
-        self->changed = 0;
-    }
-    self->known = 1;
-    self->parameters = p;
+    activate(self, column_map->parameters);
     self->checksum = checksum_of(self);
+}
+
+static bool is_within(double x, double low, double high)
+{
+    return (x >= low) && (x <= high);
+}
+
+bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                       zygos_accumulator_t *energy, zygos_motor_sums_t *motors, zygos_momentum_sums_t *momentum,
+                       const zygos_joint_sums_t *joints, const zygos_estimate_t *estimate)
+{
+    const uint32_t p = column_map->parameters;
+    const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
+                              (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (self->known == 0);
+    bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && (estimate->parameters == p) &&
+                (estimate->cycle > self->since) && is_within(estimate->residual, 0.0, LARGEST_SUM);
+    double wider[ZYGOS_MAX_PARAMETERS];
+    for (uint32_t i = 0; good && (i < p); i++) {
+        wider[i] = (estimate->sigma[i] > 0.0) ? estimate->half95[i] / (TWO_SIGMAS * estimate->sigma[i]) : 1.0;
+        good = is_within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && is_within(wider[i], 0.0, LARGEST_SUM);
+    }
+    if (!good) {
+        return false;
+    }
+    if (estimate->since > 0) {
+        zygos_guard_drop(self, energy, motors, momentum, estimate->since);
+    }
+    const double ratio = estimate->noise_ratio;
+    self->noise_ratio = is_within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
+    self->cluster = (estimate->cluster > ZYGOS_GUARD_CLUSTER) ? estimate->cluster : ZYGOS_GUARD_CLUSTER;
+    self->energy.residual = estimate->residual * estimate->residual;
+    memcpy(self->solution, estimate->solution, sizeof self->solution);
+    for (uint32_t i = 0, k = 0; i < p; i++) {
+        for (uint32_t j = 0; j <= i; j++, k++) {
+            self->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
+        }
+    }
+    begin(self, config, column_map, energy, motors, momentum, joints);
+    return true;
+}
+
+void zygos_guard_take_over(zygos_guard_t *self, const zygos_guard_t *from)
+{
+    const uint32_t p = (from->parameters < ZYGOS_MAX_PARAMETERS) ? from->parameters : ZYGOS_MAX_PARAMETERS;
+    const size_t fixed = offsetof(zygos_guard_t, covariance) - offsetof(zygos_guard_t, checksum);
+    memcpy(&self->checksum, &from->checksum, fixed);
+    memcpy(self->covariance, from->covariance, zygos_gram_entries(p) * sizeof from->covariance[0]);
+    activate(self, p);
 }

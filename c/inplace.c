@@ -2,15 +2,8 @@
 
 #include <stddef.h>
 
-int zygos_arm_solve(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t *out)
+int zygos_arm_solve_ended(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t *out)
 {
-    if ((solver == NULL) || (out == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    const int ended = zygos_arm_end_arcs(self);
-    if (ended < 0) {
-        return ended;
-    }
     solver->accumulator = &self->accumulator;
     solver->motor_sums = &self->motor_sums;
     solver->momentum_sums = &self->momentum_sums;
@@ -25,4 +18,13 @@ int zygos_arm_solve(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t 
     zygos_motor_sums_apply_fade(solver->motor_sums);
     zygos_momentum_sums_apply_fade(solver->momentum_sums);
     return zygos_solver_solve(solver, out);
+}
+
+int zygos_arm_solve(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t *out)
+{
+    if ((solver == NULL) || (out == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const int ended = zygos_arm_end_arcs(self);
+    return (ended < 0) ? ended : zygos_arm_solve_ended(self, solver, out);
 }

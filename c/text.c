@@ -79,6 +79,8 @@ const char *zygos_text(int code)
         return "the reduction to independent columns does not fit the arm or this build";
     case ZYGOS_E_ARITHMETIC:
         return "the library was compiled with flags that break IEEE arithmetic";
+    case ZYGOS_E_MEMORY:
+        return "the memory for solutions is smaller than a zygos_in_place_t";
     }
     return UNKNOWN;
 }
@@ -126,6 +128,8 @@ const char *zygos_reason_text(uint32_t reason)
         return "the balance leaves more than a tenth of the work unexplained, and what it leaves is no noise";
     case ZYGOS_REASON_GAIN:
         return "the gain of a torque sensor differs from what is declared of it";
+    case ZYGOS_REASON_OLD:
+        return "no row was added for longer than an arc";
     }
     return UNKNOWN;
 }

@@ -26,13 +26,15 @@ enum zygos_reason {
     ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
                                        ///< not positive, or a friction or lag is negative, by more than
                                        ///< ZYGOS_NEGATIVE_SIGMAS.
-    ZYGOS_REASON_CORRUPT = 5,  ///< Row sums or counts do not match: memory was changed, or zygos_arm_take() was not called.
-    ZYGOS_REASON_UNCLOSED = 6, ///< The residuals are not noise (ZYGOS_CLUSTER_LIMIT): the balance does not close.
-    ZYGOS_REASON_DECLARED = 8, ///< The declared noise is not in the data (ZYGOS_NOISE_ABSENT).
-    ZYGOS_REASON_NOISE = 7,    ///< Noise is as large as the motion in some combination (ZYGOS_MIN_SIGNAL_TO_NOISE).
-    ZYGOS_REASON_CHANGED = 9,  ///< Several consecutive newest arcs contradict the values (guard.h).
+    ZYGOS_REASON_CORRUPT =
+        5, ///< Row sums or counts do not match: memory was changed, or zygos_arm_take() was not called.
+    ZYGOS_REASON_UNCLOSED = 6,     ///< The residuals are not noise (ZYGOS_CLUSTER_LIMIT): the balance does not close.
+    ZYGOS_REASON_DECLARED = 8,     ///< The declared noise is not in the data (ZYGOS_NOISE_ABSENT).
+    ZYGOS_REASON_NOISE = 7,        ///< Noise is as large as the motion in some combination (ZYGOS_MIN_SIGNAL_TO_NOISE).
+    ZYGOS_REASON_CHANGED = 9,      ///< Several consecutive newest arcs contradict the values (guard.h).
     ZYGOS_REASON_UNEXPLAINED = 10, ///< The residuals are not noise, and exceed ZYGOS_UNEXPLAINED_LIMIT.
-    ZYGOS_REASON_GAIN = 11 ///< The gain of a torque sensor differs from what is declared of it (ZYGOS_GAIN_SIGMAS).
+    ZYGOS_REASON_GAIN = 11, ///< The gain of a torque sensor differs from what is declared of it (ZYGOS_GAIN_SIGMAS).
+    ZYGOS_REASON_OLD = 12   ///< No row was added for longer than an arc: the values are of the arm as it was then.
 };
 
 /// The kinds of rows, each with arcs of its own. Where joint rows alone determine the estimate, they have the place of
@@ -41,10 +43,10 @@ enum zygos_rows { ZYGOS_ENERGY_ROWS = 0, ZYGOS_MOTOR_ROWS = 1, ZYGOS_MOMENTUM_RO
 
 /// An estimate of all parameters.
 typedef struct {
-    uint64_t cycle;      ///< SYNC number of the newest cycle in the sums.
-    uint64_t accepted;   ///< Number of instants in the sums.
-    uint64_t refused;    ///< Number of instants that failed the bandwidth test.
-    uint64_t since;      ///< 0, or only arcs after this cycle were used, because older ones were bad (zygos_work_solve()).
+    uint64_t cycle;    ///< SYNC number of the newest cycle in the sums.
+    uint64_t accepted; ///< Number of instants in the sums.
+    uint64_t refused;  ///< Number of instants that failed the bandwidth test.
+    uint64_t since; ///< 0, or only arcs after this cycle were used, because older ones were bad (zygos_work_solve()).
     uint32_t parameters; ///< p.
     uint32_t validity;   ///< enum zygos_validity.
     uint32_t reason;     ///< enum zygos_reason.
@@ -53,6 +55,9 @@ typedef struct {
     uint32_t rank;       ///< Number of independent columns.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Number of excluded arcs, by enum zygos_rows, including open ones.
     uint32_t consecutive;                   ///< Number of consecutive newest arcs of energy rows that were excluded.
+    uint32_t changed;   ///< 1: the newest arc differs from those before by more than noise (ZYGOS_CHANGE_ALARM).
+    uint32_t restored;  ///< 1: some of the sums are of a stored state (zygos_resume()).
+    uint64_t unused;    ///< Number of SYNCs since a row was added last (zygos_solve() alone tells).
     double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
     double cluster;     ///< The statistic of ZYGOS_CLUSTER_LIMIT: around 1 for noise, at most the instants of a block.
     double residual;    ///< Root mean square of W - row . x without the constants of the arcs [J]; where joint rows

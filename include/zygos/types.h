@@ -297,6 +297,7 @@ enum zygos_error {
     ZYGOS_E_SUMS = -25,  ///< The sums of the state do not match their row sums: memory was changed, as above.
     ZYGOS_E_REDUCTION = -26, ///< The reduction is out of order or out of range, leaves a parameter without a column, is
                              ///< no selection on a free base, or does not select Im, k and b of a flexible joint.
+    ZYGOS_E_MEMORY = -28,    ///< The memory for solutions is smaller than a zygos_in_place_t.
     ZYGOS_E_ARITHMETIC = -27 ///< The library was compiled with flags that break IEEE arithmetic, such as
                              ///< -ffinite-math-only, -fno-honor-nans or -funsafe-math-optimizations.
 };
@@ -419,6 +420,14 @@ typedef struct {
     uint32_t reductions; ///< Number of entries of the reduction.
     zygos_reduction_t reduction[ZYGOS_REDUCTION_PLACES]; ///< By column, then by parameter, both ascending.
 } zygos_config_t;
+
+/// Bits of the argument of zygos_restart().
+enum zygos_keep {
+    ZYGOS_KEEP_NOTHING = 0,
+    ZYGOS_KEEP_FAULTS = 1, ///< The counters of faults, gaps and wraps are kept.
+    ZYGOS_KEEP_JOINTS = 2  ///< The sums of the motor rows are kept, which determine Im, k and b: a payload does not
+                           ///< change these. Where memory was changed so that they cannot be read, they are cleared.
+};
 
 /// Bits of zygos_cycle_t.flags. With ZYGOS_CYCLE_VOID, the bits from ZYGOS_CYCLE_VOID_SHIFT upwards are the number of
 /// cycles before this one that cannot be trusted: every arc that contains one of them is dropped. The number 0 means

@@ -1,12 +1,207 @@
+/// zygos.h: identifies the dynamics of a space manipulator with flexible joints from encoders, gyro and motor torques.
+///
+/// An onboard program makes four calls:
+///
+///     static zygos_t arm;                      // one for each arm, in memory of the caller's choice
+///     static zygos_background_t memory;        // for solutions; zygos_in_place_t where that is too much
+///     static zygos_estimate_t estimate;
+///
+///     zygos_init(&arm, &config, &memory, sizeof memory);  // once
+///     zygos_frame(&arm, &frame);               // receive interrupt: each frame, in the order of the bus
+///     zygos_step(&arm);                        // the periodic task: one cycle, and a part of everything else
+///     zygos_solve(&arm, &estimate);            // background, at a lower priority: 1 is a new estimate
+///
+/// There are three contexts, and each call belongs to one of them: the interrupt (zygos_frame()), the task
+/// (zygos_step() and all others) and the background (zygos_solve()). Each may interrupt the others at any place, or run
+/// on a core of its own. Two calls of one context must not run at the same time.
+///
+/// Every call returns 1 when it has done its work, 0 when there was nothing to do, and an enum zygos_error below 0 when
+/// it was misused, in which case nothing was changed. zygos_text() has the errors in words.
+///
+/// The headers beside this one are the reference manual. What stands in zygos/priv/ sizes the structs and is no
+/// interface. The common scale of all torques cannot be identified: a common error of the torque constants scales every
+/// parameter.
+
 #ifndef ZYGOS_H
 #define ZYGOS_H
 
 #include "estimate.h"
 #include "priv/arm.h"
+#include "priv/handover.h"
+#include "priv/tables.h"
 #include "refine.h"
 #include "snapshot.h"
 #include "text.h"
 #include "types.h"
 #include "wire.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// The number of frames that may wait between zygos_frame() and zygos_step(): a power of two, enough for
+/// ZYGOS_CYCLE_QUEUE cycles.
+#define ZYGOS_RING_LEAST (ZYGOS_CYCLE_QUEUE * (2 * ZYGOS_MAX_JOINTS + 4))
+#if ZYGOS_RING_LEAST <= 32
+#define ZYGOS_RING 32
+#elif ZYGOS_RING_LEAST <= 64
+#define ZYGOS_RING 64
+#elif ZYGOS_RING_LEAST <= 128
+#define ZYGOS_RING 128
+#elif ZYGOS_RING_LEAST <= 256
+#define ZYGOS_RING 256
+#elif ZYGOS_RING_LEAST <= 512
+#define ZYGOS_RING 512
+#elif ZYGOS_RING_LEAST <= 1024
+#define ZYGOS_RING 1024
+#elif ZYGOS_RING_LEAST <= 2048
+#define ZYGOS_RING 2048
+#elif ZYGOS_RING_LEAST <= 4096
+#define ZYGOS_RING 4096
+#elif ZYGOS_RING_LEAST <= 8192
+#define ZYGOS_RING 8192
+#elif ZYGOS_RING_LEAST <= 16384
+#define ZYGOS_RING 16384
+#else
+#define ZYGOS_RING 32768
+#endif
+
+/// Memory for solutions in the background: a copy of the sums, and the newest estimate. Its members are not for
+/// reading.
+typedef struct {
+    zygos_work_t work;
+    zygos_estimate_t estimate;              ///< The newest; after a comparison that without the newest arc,
+    double deviation[ZYGOS_MAX_PARAMETERS]; ///< and these are the deviations of the newest arc from it.
+    uint64_t of;                            ///< zygos_t.restarts when the copy was made.
+    uint32_t compares;                      ///< 1: this copy is for a comparison, and not for an estimate.
+    uint32_t changed;                       ///< 1: the newest comparison has found another arm.
+    uint32_t corrupt;                       ///< Estimates in a row whose sums were corrupt.
+    uint32_t adopted;                       ///< 1: the estimate can be adopted.
+} zygos_background_t;
+
+/// Memory for solutions without a copy of the sums: while one is computed, frames wait, and arcs end before it. There
+/// is no comparison of the newest arc with the others (zygos_estimate_t.changed).
+typedef struct {
+    zygos_solver_t solver;
+    zygos_estimate_t estimate;
+    uint64_t of;
+    uint32_t corrupt;
+    uint32_t reserved;
+} zygos_in_place_t;
+
+/// What zygos_init() was given, and follows from the configuration for the interrupt. It is kept three times, and a bit
+/// is what two of them say.
+typedef struct {
+    uintptr_t config;
+    uintptr_t memory;
+    uintptr_t refine;
+    uint32_t background; ///< 1: memory is a zygos_background_t; 0: a zygos_in_place_t.
+    uint32_t nodes;      ///< Of this arm, as bits.
+    uint32_t slices;     ///< Of the refinement, in each cycle.
+    uint32_t reserved;
+} zygos_given_t;
+
+/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on.
+enum zygos_stage {
+    ZYGOS_STAGE_IDLE = 0,
+    ZYGOS_STAGE_ASKED = 1, ///< The task copies the sums.
+    ZYGOS_STAGE_GIVEN = 2, ///< The copy belongs to the background.
+    ZYGOS_STAGE_SOLVED = 3 ///< The estimate waits to be adopted.
+};
+
+/// One arm. The program may read the counters, and in its task state and refined; only the calls below change them.
+typedef struct {
+    uint32_t magic;
+    uint32_t stage;           ///< enum zygos_stage.
+    uint32_t head;            ///< Frames received, modulo 2^32; the interrupt alone writes it,
+    uint32_t overrun;         ///< and this: frames lost, because zygos_step() was called too seldom.
+    uint32_t tail;            ///< Frames taken; the task alone writes it, and everything below but the memory given.
+    uint32_t overrun_counted; ///< Of overrun, what state.receiver.faults has.
+    uint64_t restarts;        ///< Times that the sums were given up: zygos_restart(), and memory beyond repair.
+    uint64_t repairs;         ///< Times that memory was found changed and repaired.
+    uint64_t losses;          ///< Times that it could not be repaired, and the estimation began anew.
+    uint64_t rested;          ///< Calls of zygos_step() since the sums were copied last.
+    uint64_t copied;          ///< Calls that this took.
+    uint32_t waited;          ///< Calls for which an estimate has waited to be adopted.
+    uint32_t refining;        ///< 1: the background has the memory of the refinement.
+    uint32_t refines_anew;    ///< 1: what is refined is another arm's.
+    uint32_t reserved;
+    zygos_given_t given[3];
+    zygos_handover_t handover;
+    zygos_patrol_t patrol;
+    zygos_refined_t refined; ///< What zygos_refine_judge() said of the newest estimate.
+    zygos_frame_t ring[ZYGOS_RING];
+    zygos_arm_t state; ///< The image of a snapshot.
+} zygos_t;
+
+/// Checks the configuration and initialises *self. *config stays the caller's: it is the reference with which the copy
+/// in *self is compared, must not change, and is best in memory that is protected. memory: a zygos_background_t, or
+/// where bytes is less than its size, a zygos_in_place_t; it belongs to the library from here on. Call it before the
+/// receive interrupt is enabled. Returns 1, or an enum zygos_error: ZYGOS_E_MEMORY where bytes is less than the size of
+/// zygos_in_place_t, ZYGOS_E_ARITHMETIC where the compiler's flags break IEEE arithmetic. Cost: the coefficients of the
+/// smoother, and one memset of zygos_t.
+int zygos_init(zygos_t *self, const zygos_config_t *config, void *memory, uint32_t bytes);
+
+/// Receives one CAN frame: stores it, without floating point, if its identifier may be one of this arm. Call it in the
+/// receive interrupt, or in one task, in the order of the bus. Returns 1 when the frame was stored; 0 when it is none
+/// of this arm's, or was lost because ZYGOS_RING frames wait, which is counted in overrun; ZYGOS_E_NULL; or
+/// ZYGOS_E_ORDER when zygos_init() has not succeeded on *self. Cost: one copy of 16 bytes.
+int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
+
+/// Decodes frames until a cycle is complete, and processes it: smooths the signals, forms the rows and adds them to the
+/// sums. Beside it, a part of each of these is done: the configuration and what follows from it are verified and
+/// repaired; the sums are copied for zygos_solve(); its estimate is adopted, after which arcs that contradict it are
+/// left out (guard.h); cycles are refined (zygos_refine()). Call it in one task, in each SYNC period or more often.
+/// Where calls may come late, call it until it returns 0. Returns 1 when it took a cycle, 0 when none was complete or a
+/// solution in place is under way; ZYGOS_E_NULL; ZYGOS_E_ORDER; or ZYGOS_E_CONFIG where *config contradicts the copies
+/// of it in *self, so that it or more than one of these was changed: call zygos_init(). Cost: the same for every valid
+/// cycle of a configuration, but for the parts (docs/cost.md). Where memory was changed: that of a repair, which may be
+/// a pass over all sums.
+int zygos_step(zygos_t *self);
+
+/// The same for a cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. A cycle
+/// that is flagged ZYGOS_CYCLE_INVALID, or has a value that is not finite, an angle beyond +-1e4 rad or another value
+/// beyond +-1e6, is counted and dropped, and the arc ends. Returns 1 when the cycle was used, 0 when it was dropped or
+/// a solution in place is under way, ZYGOS_E_NULL or ZYGOS_E_ORDER.
+int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
+
+/// Asks zygos_step() for a copy of the sums, and solves it once it is there. Call it in the background as often as an
+/// estimate is wanted: it never waits. Where a copy has eight blocks or more, every second one serves to compare the
+/// newest arc with all before it, which costs like a solution and returns 0; what it found is in the estimates that
+/// follow (zygos_estimate_t.changed). Returns 1 when *out is a new estimate, 0 when none is ready, ZYGOS_E_NULL or
+/// ZYGOS_E_ORDER. With a zygos_in_place_t the sums are not copied: zygos_step() ends the arcs, and takes no cycle until
+/// this call has returned. It does so once in an arc at the most. Cost: zygos_work_solve().
+int zygos_solve(zygos_t *self, zygos_estimate_t *out);
+
+/// Attaches a refinement to an arm (refine.h): it begins with the next valid estimate, and again after a failure, and
+/// *refined is judged with every estimate. slices: how many slices of its work are done in each cycle; 0: all that
+/// there are. Returns 1, or an enum zygos_error as zygos_refine_init(). Call it after zygos_init(), in the task. Cost:
+/// that of zygos_refine_init().
+int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_settings_t *settings, uint32_t slices);
+
+/// Restarts the estimate with the same configuration, because the payload changed. Frames that have been received are
+/// of the arm before: cycles that they complete are not used. keep: bits of enum zygos_keep. Call it in the task.
+/// Returns 1; ZYGOS_E_NULL, ZYGOS_E_ORDER, or ZYGOS_E_KEEP for an unknown bit, or where there are no motor rows to
+/// keep. An estimate of the sums before is not returned by zygos_solve() any more. Cost: the coefficients of the
+/// smoother, and one memset of the sums.
+int zygos_restart(zygos_t *self, uint32_t keep);
+
+/// Verifies and repairs the state, and writes the head of its snapshot: store head and then self->state. Call it in the
+/// task. Returns 1; 0 while a solution in place is under way; ZYGOS_E_NULL; ZYGOS_E_ORDER; ZYGOS_E_CONFIG as
+/// zygos_step(); or ZYGOS_E_STATE where memory was beyond repair, so that the estimation begins anew: what was stored
+/// before is better. Cost: one pass over the sums, and zygos_snapshot_seal().
+int zygos_seal(zygos_t *self, uint8_t *head);
+
+/// Continues with a stored state, instead of zygos_init(): the caller has read the head of a snapshot, and the image
+/// behind it into self->state; length: bytes of both. The other arguments are those of zygos_init(). All sums and
+/// counters are kept; the open arc ends. Returns 1, or an enum zygos_error, with which *self has to be initialised:
+/// those of zygos_init() and of zygos_snapshot_check(), ZYGOS_E_CONFIG for the state of another configuration,
+/// ZYGOS_E_STATE or ZYGOS_E_SUMS for one that was changed before it was sealed. Cost: zygos_snapshot_check(), and a
+/// pass over the sums.
+int zygos_resume(zygos_t *self, const zygos_config_t *config, void *memory, uint32_t bytes, const uint8_t *head,
+                 uint32_t length);
+
+#ifdef __cplusplus
+}
+#endif
 #endif

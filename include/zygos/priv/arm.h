@@ -42,18 +42,22 @@ typedef struct {
     uint64_t quarantined;     ///< Number of arcs and blocks that were dropped because memory was changed.
     uint64_t cycle;           ///< SYNC number of the newest cycle that was processed.
     uint64_t cycles;          ///< Number of cycles that were processed.
-    uint64_t gaps;            ///< Number of times an arc ended because a cycle did not follow the one before.
-    uint64_t invalid;         ///< Number of cycles that were not used: flagged invalid, not finite, or changed in
-                              ///< memory before they were processed.
-    uint64_t wraps;           ///< Number of times an angle passed the end of its multi-turn range; the arc ends.
-    uint64_t apart;           ///< Number of cycles with link and motor angle on different sides of that end, not used.
+    uint64_t added;           ///< Number of the newest cycle that gave a row which was not refused.
+    uint64_t restored; ///< Number of the newest cycle of a stored state (zygos_resume()); 0: none is in the sums.
+    uint64_t gaps;     ///< Number of times an arc ended because a cycle did not follow the one before.
+    uint64_t invalid;  ///< Number of cycles that were not used: flagged invalid, not finite, or changed in
+                       ///< memory before they were processed.
+    uint64_t wraps;    ///< Number of times an angle passed the end of its multi-turn range; the arc ends.
+    uint64_t apart;    ///< Number of cycles with link and motor angle on different sides of that end, not used.
     uint64_t waited[ZYGOS_KINDS_OF_ROWS]; ///< Number of instants that have no row of a kind, because an arc of these
                                           ///< rows waited for its end (ending).
     uint32_t arc;                         ///< Number of instants of the open arc, accepted or not.
     uint32_t instant;                     ///< 1: arm_state, row and accepted below belong to the newest cycle.
-    uint32_t ending; ///< Kinds of rows (enum zygos_rows), as bits, whose open arc has ended, and waits until
-                     ///< the arc before it is closed. There are no rows of these kinds until then.
-    uint32_t reserved;
+    uint32_t ending;  ///< Kinds of rows (enum zygos_rows), as bits, whose open arc has ended, and waits until
+                      ///< the arc before it is closed. There are no rows of these kinds until then.
+    uint32_t held;    ///< Kinds of rows, as bits, whose tasks wait, because their sums are being copied (handover.h).
+    uint32_t beside;  ///< 1: something else is done beside the next cycle, so that no task proceeds in it.
+    uint32_t dropped; ///< Number of times, modulo 2^32, that sums were dropped or changed at once.
     uint64_t ended[ZYGOS_KINDS_OF_ROWS];          ///< The newest cycle of these arcs.
     double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors; 1 where none waits.
     double forgetting;                            ///< Product of the forgetting factors of the cycles in the open arc.
@@ -105,15 +109,6 @@ typedef struct {
                                   sizeof(zygos_estimate_t)),                                                           \
                         sizeof(zygos_cycle_t)),                                                                        \
               sizeof(zygos_frame_t))
-
-/// Bits of the argument of zygos_arm_restart().
-enum zygos_keep {
-    ZYGOS_KEEP_NOTHING = 0,
-    ZYGOS_KEEP_FAULTS =
-        1, ///< The counters of faults, gaps and wraps are kept. Otherwise call it while no frame is received.
-    ZYGOS_KEEP_JOINTS = 2 ///< The sums of the motor rows are kept, which determine Im, k and b: a payload does not
-                          ///< change these. Where memory was changed so that they cannot be read, they are cleared.
-};
 
 /// Returns 1 for a configuration that zygos_arm_init() accepts, and otherwise its error. Cost: one pass over it.
 int zygos_config_check(const zygos_config_t *config);
@@ -175,6 +170,9 @@ void zygos_arm_take(const zygos_arm_t *self, zygos_work_t *work);
 /// it in the task of zygos_arm_step(). Returns what zygos_work_solve() returns, or what zygos_arm_end_arcs() does where
 /// that is negative. Cost: that of zygos_arm_end_arcs() and of zygos_work_solve().
 int zygos_arm_solve(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t *out);
+
+/// The same behind zygos_arm_end_arcs(). The pointers are not checked.
+int zygos_arm_solve_ended(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t *out);
 
 /// Adopts a valid estimate of this arm as the running solution, with which each arc is compared when it ends (guard.h):
 /// an arc that contradicts it is excluded from the sums and counted. Sums that the estimate excluded (its member since)

@@ -126,12 +126,18 @@ bool zygos_guard_intact(const zygos_guard_t *self);
 void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_motor_sums_t *motors,
                       zygos_momentum_sums_t *momentum, uint64_t cycle);
 
-/// Activates the running solution that the caller has written (parameters, noise_ratio, cluster, energy.residual,
-/// solution, covariance): computes the mean squares of the run for it, and the checksum. Cost: one pass over the sums
-/// of the motor and momentum rows, and one over the solution.
-void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
-                       const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints);
+/// Makes a valid estimate the running solution: its solution, its covariance, widened as the 95 % intervals are, and
+/// the mean squares of the run for it. Sums that the estimate excluded (its member since) are dropped. Needs finished
+/// tasks. Returns false, with the running solution unchanged, where the estimate is not valid, or not newer than since.
+/// After the running solution was given up, an estimate that is doubtful only because of ZYGOS_REASON_CHANGED is
+/// adopted as well. Cost: one pass over the sums of the motor and momentum rows, and two over the covariance; where
+/// sums are dropped, the others are moved once.
+bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                       zygos_accumulator_t *energy, zygos_motor_sums_t *motors, zygos_momentum_sums_t *momentum,
+                       const zygos_joint_sums_t *joints, const zygos_estimate_t *estimate);
+
+/// Takes over the running solution that zygos_guard_adopt() has written into another one. Cost: one copy of it.
+void zygos_guard_take_over(zygos_guard_t *self, const zygos_guard_t *from);
 
 /// Returns the 6-sigma quantile of chi-square over its degrees of freedom, by the approximation of Wilson and Hilferty,
 /// times ZYGOS_GUARD_MARGIN: the limit of a mean square of so many independent rows in units of its expectation.

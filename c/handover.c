@@ -1,0 +1,535 @@
+#include "zygos/priv/handover.h"
+
+#include "zygos/priv/gram.h"
+
+#include <stddef.h>
+#include <string.h>
+
+/* A piece of memory that is copied. */
+typedef struct {
+    void *to;
+    const void *from;
+    uint32_t words; /* of eight bytes */
+} piece_t;
+
+#define WORD 8u
+#define WORDS(bytes) ((uint32_t)((bytes) / WORD))
+/* From the first member of a struct to before another one. */
+#define SPAN(to, from, type, first, end)                                                                               \
+    piece((unsigned char *)(to) + offsetof(type, first), (const unsigned char *)(from) + offsetof(type, first),        \
+          WORDS(offsetof(type, end) - offsetof(type, first)))
+#define REST(to, from, type, first)                                                                                    \
+    piece((unsigned char *)(to) + offsetof(type, first), (const unsigned char *)(from) + offsetof(type, first),        \
+          WORDS(sizeof(type) - offsetof(type, first)))
+
+static piece_t piece(void *to, const void *from, uint32_t words)
+{
+    const piece_t out = { to, from, words };
+    return out;
+}
+
+static void copy(piece_t what)
+{
+    memcpy(what.to, what.from, (size_t)what.words * WORD);
+}
+
+static uint32_t least(uint32_t a, uint32_t b)
+{
+    return (a < b) ? a : b;
+}
+
+/* ---------------------------------------------------------------- energy rows */
+
+static uint32_t energy_width(const zygos_accumulator_t *from)
+{
+    return least(from->width, (uint32_t)ZYGOS_MAX_ROW);
+}
+
+static void cut_block(zygos_handover_t *self, const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t place)
+{
+    if ((place < (uint32_t)ZYGOS_MAX_BLOCKS) && (self->apart[place] == 0)) {
+        copy(piece(to->block[place].gram, from->block[place].gram, zygos_gram_entries(energy_width(from))));
+        copy(REST(&to->block[place], &from->block[place], zygos_block_t, sum));
+        self->apart[place] = 1;
+    }
+}
+
+/* A buffer with rows that are not in the blocks yet. */
+static bool has_rows(const zygos_accumulator_t *from, uint32_t b)
+{
+    return (from->buffer[b].shared < ZYGOS_BUFFER_SLICES) || ((b == from->filling) && (from->filled > 0));
+}
+
+static void cut_buffer(const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t b)
+{
+    const zygos_row_buffer_t *buffer = &from->buffer[b];
+    const uint32_t width = energy_width(from);
+    if (has_rows(from, b)) {
+        copy(piece(to->buffer[b].pair, buffer->pair, (width + 1u) / 2u * (uint32_t)WORDS(sizeof buffer->pair[0])));
+        copy(SPAN(&to->buffer[b], buffer, zygos_row_buffer_t, total, gram));
+        if (from->noisy != 0) {
+            copy(piece(to->buffer[b].gram, buffer->gram, zygos_gram_entries(width)));
+            copy(piece(to->buffer[b].sum, buffer->sum, width));
+        }
+    }
+    copy(REST(&to->buffer[b], buffer, zygos_row_buffer_t, instants));
+}
+
+static void cut_noise(const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t parity)
+{
+    const uint32_t width = energy_width(from) - 1u;
+    copy(piece(to->noise_open[parity].gram, from->noise_open[parity].gram, zygos_gram_entries(width)));
+    copy(piece(to->noise_open[parity].sum, from->noise_open[parity].sum, width));
+}
+
+/* With no rows in the buffer that is filled, the fewest have to be copied. */
+static bool suits_energy(const zygos_accumulator_t *from)
+{
+    return (from->filled == 0) || (from->count == from->fresh);
+}
+
+static void cut_energy(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+{
+    const zygos_accumulator_t *from = &arm->accumulator;
+    zygos_accumulator_t *to = &work->accumulator;
+    memset(self->apart, 0, sizeof self->apart);
+    copy(SPAN(to, from, zygos_accumulator_t, width, mean));
+    memcpy(to->order, from->order, sizeof to->order);
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        cut_buffer(from, to, b);
+        if (from->buffer[b].shared < ZYGOS_BUFFER_SLICES) {
+            cut_block(self, from, to, from->buffer[b].places & 0xFFu);
+            cut_block(self, from, to, (from->buffer[b].places >> 8u) & 0xFFu);
+        }
+    }
+    for (uint32_t newest = 1; newest <= 2u; newest++) {
+        if ((from->count >= from->fresh + newest) && (from->count <= (uint32_t)ZYGOS_MAX_BLOCKS)) {
+            cut_block(self, from, to, from->order[from->count - newest]);
+        }
+    }
+    if (from->noisy != 0) {
+        cut_noise(from, to, from->parity & 1u);
+    }
+    work->arc = arm->arc;
+}
+
+/* What follows the cut. Returns false behind the last piece. */
+static bool energy_piece(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work, uint32_t k,
+                         piece_t *out)
+{
+    const zygos_accumulator_t *from = &arm->accumulator;
+    zygos_accumulator_t *to = &work->accumulator;
+    const uint32_t width = energy_width(from);
+    const uint32_t noise = zygos_gram_entries(width - 1u);
+    const uint32_t closing = (to->parity & 1u) ^ 1u;
+    switch (k) {
+    case 0:
+        *out = piece(to->mean, from->mean, width);
+        return true;
+    case 1:
+        *out = piece(&to->scan, &from->scan, WORDS(sizeof to->scan));
+        return true;
+    case 2:
+        *out = piece(to->noise_closed.gram, from->noise_closed.gram, noise);
+        return true;
+    case 3:
+        *out = piece(to->noise_closed.sum, from->noise_closed.sum, width - 1u);
+        return true;
+    case 4:
+        *out = piece(to->noise_open[closing].gram, from->noise_open[closing].gram, noise);
+        return true;
+    case 5:
+        *out = piece(to->noise_open[closing].sum, from->noise_open[closing].sum, width - 1u);
+        return true;
+    default:
+        break;
+    }
+    const uint32_t rank = (k - 6u) / 2u;
+    if (rank >= least(to->count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
+        return false;
+    }
+    const uint32_t place = least(to->order[rank], (uint32_t)ZYGOS_MAX_BLOCKS - 1u);
+    const zygos_block_t *block = &from->block[place];
+    *out = ((k % 2u) == 0) ? piece(to->block[place].gram, block->gram, zygos_gram_entries(width))
+                           : REST(&to->block[place], block, zygos_block_t, sum);
+    out->words = (self->apart[place] == 0) ? out->words : 0u;
+    return true;
+}
+
+/* ---------------------------------------------------------------- motor rows */
+
+static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t *to, uint32_t joints)
+{
+    copy(piece(to->joint, from->joint, joints * WORDS(sizeof from->joint[0])));
+    copy(REST(to, from, zygos_motor_block_t, instants));
+}
+
+static void cut_motors(const zygos_arm_t *arm, zygos_work_t *work)
+{
+    const zygos_motor_sums_t *from = &arm->motor_sums;
+    zygos_motor_sums_t *to = &work->motor_sums;
+    copy(SPAN(to, from, zygos_motor_sums_t, count, open));
+    cut_motor_block(&from->open, &to->open, arm->config.joints);
+}
+
+static bool motor_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
+{
+    const zygos_motor_sums_t *from = &arm->motor_sums;
+    zygos_motor_sums_t *to = &work->motor_sums;
+    if (k == 0) {
+        *out = SPAN(to, from, zygos_motor_sums_t, column_map, count);
+        return true;
+    }
+    const uint32_t b = (k - 1u) / 2u; /* 0: the closing arc */
+    if (b > least(to->count, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
+        return false;
+    }
+    const zygos_motor_block_t *block = (b == 0) ? &from->closing : &from->block[b - 1u];
+    zygos_motor_block_t *copied = (b == 0) ? &to->closing : &to->block[b - 1u];
+    *out = ((k % 2u) == 1u) ? piece(copied->joint, block->joint, arm->config.joints * WORDS(sizeof block->joint[0]))
+                            : REST(copied, block, zygos_motor_block_t, instants);
+    return true;
+}
+
+/* ---------------------------------------------------------------- momentum rows */
+
+static uint32_t momentum_width(const zygos_momentum_sums_t *from)
+{
+    return least(from->columns + 3u, (uint32_t)ZYGOS_MAX_MOMENTUM_ROW);
+}
+
+static void cut_momentum(const zygos_arm_t *arm, zygos_work_t *work)
+{
+    const zygos_momentum_sums_t *from = &arm->momentum_sums;
+    zygos_momentum_sums_t *to = &work->momentum_sums;
+    const uint32_t width = momentum_width(from);
+    const uint32_t open = from->parity & 1u;
+    copy(SPAN(to, from, zygos_momentum_sums_t, columns, deviation));
+    copy(piece(to->noise_arc[open].gram, from->noise_arc[open].gram, zygos_gram_entries(width)));
+    copy(piece(to->noise_arc[open].sum, from->noise_arc[open].sum, width));
+    copy(piece(to->arc.rows.gram, from->arc.rows.gram, zygos_gram_entries(width)));
+    copy(piece(to->arc.rows.sum, from->arc.rows.sum, width));
+    copy(REST(&to->arc, &from->arc, zygos_momentum_block_t, instants));
+}
+
+static bool momentum_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
+{
+    const zygos_momentum_sums_t *from = &arm->momentum_sums;
+    zygos_momentum_sums_t *to = &work->momentum_sums;
+    const uint32_t width = momentum_width(from);
+    const uint32_t entries = zygos_gram_entries(width);
+    const uint32_t closing = (to->parity & 1u) ^ 1u;
+    if (k == 0) {
+        *out = SPAN(to, from, zygos_momentum_sums_t, deviation, noise_arc);
+        return true;
+    }
+    if (k == 1u) {
+        *out = piece(&to->scan, &from->scan, WORDS(sizeof to->scan));
+        return true;
+    }
+    const uint32_t g = (k - 2u) / 3u; /* the noise of the closing arc, that of closed ones, then the blocks */
+    const uint32_t b = g - 2u;
+    if ((g >= 2u) && (b > least(to->count, (uint32_t)ZYGOS_MOMENTUM_PLACES - 1u))) {
+        return false;
+    }
+    const zygos_momentum_gram_t *rows = (g == 0)    ? &from->noise_arc[closing]
+                                        : (g == 1u) ? &from->noise_closed
+                                                    : &from->block[b].rows;
+    zygos_momentum_gram_t *copied = (g == 0)    ? &to->noise_arc[closing]
+                                    : (g == 1u) ? &to->noise_closed
+                                                : &to->block[b].rows;
+    const uint32_t part = (k - 2u) % 3u;
+    if (part == 0) {
+        *out = piece(copied->gram, rows->gram, entries);
+    } else if (part == 1u) {
+        *out = piece(copied->sum, rows->sum, width);
+    } else if (g >= 2u) {
+        *out = REST(&to->block[b], &from->block[b], zygos_momentum_block_t, instants);
+    } else {
+        *out = piece(copied->sum, rows->sum, 0u);
+    }
+    return true;
+}
+
+/* ---------------------------------------------------------------- joint rows */
+
+static uint32_t joint_width(const zygos_joint_sums_t *from)
+{
+    return least(from->width, (uint32_t)ZYGOS_MAX_JOINT_ROW);
+}
+
+static void cut_joint_gram(const zygos_joint_gram_t *from, zygos_joint_gram_t *to, uint32_t width)
+{
+    copy(piece(to->gram, from->gram, zygos_gram_entries(width)));
+    copy(piece(to->sum, from->sum, width));
+}
+
+static void cut_segment(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, uint32_t s)
+{
+    const uint32_t width = joint_width(from);
+    cut_joint_gram(&from->segment[s].rows, &to->segment[s].rows, width);
+    cut_joint_gram(&from->segment[s].noise, &to->segment[s].noise, width);
+    copy(REST(&to->segment[s], &from->segment[s], zygos_joint_segment_t, apart));
+}
+
+static void cut_group(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, uint32_t g)
+{
+    cut_joint_gram(&from->group[g].rows, &to->group[g].rows, joint_width(from));
+    copy(REST(&to->group[g], &from->group[g], zygos_joint_group_t, count));
+}
+
+/* Half of the time no segment is being added to a group. */
+static bool suits_joints(const zygos_joint_sums_t *from)
+{
+    return from->adding == 0;
+}
+
+static void cut_joints(const zygos_arm_t *arm, zygos_work_t *work)
+{
+    const zygos_joint_sums_t *from = &arm->joint_sums;
+    zygos_joint_sums_t *to = &work->joint_sums;
+    copy(SPAN(to, from, zygos_joint_sums_t, width, weight));
+    work->joints_forgetting = arm->joints_forgetting;
+    if (from->width == 0) {
+        return;
+    }
+    for (uint32_t kind = 0; kind < 2u; kind++) {
+        if (from->waiting > 0) {
+            to->wait[kind] = from->wait[kind];
+        }
+    }
+    const uint32_t filling = from->filling & 1u;
+    cut_segment(from, to, filling);
+    if (from->adding != 0) {
+        cut_segment(from, to, filling ^ 1u);
+        cut_joint_gram(&from->noise, &to->noise, joint_width(from));
+        cut_joint_gram(&from->apart, &to->apart, joint_width(from));
+        cut_group(from, to, least(from->target, (uint32_t)ZYGOS_SET_ASIDE));
+    }
+}
+
+static bool joint_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
+{
+    const zygos_joint_sums_t *from = &arm->joint_sums;
+    zygos_joint_sums_t *to = &work->joint_sums;
+    const uint32_t width = joint_width(from);
+    const bool adding = (to->adding != 0); /* then the cut has copied what is added to */
+    if (k == 0) {
+        *out = SPAN(to, from, zygos_joint_sums_t, weight, noise);
+        return true;
+    }
+    const uint32_t g = (k - 1u) / 3u; /* noise, joints' sums, then the groups */
+    if ((width == 0) || (g > 2u + (uint32_t)ZYGOS_SET_ASIDE)) {
+        return false;
+    }
+    const zygos_joint_gram_t *rows = (g == 0) ? &from->noise : (g == 1u) ? &from->apart : &from->group[g - 2u].rows;
+    zygos_joint_gram_t *copied = (g == 0) ? &to->noise : (g == 1u) ? &to->apart : &to->group[g - 2u].rows;
+    const bool has_it = adding && ((g < 2u) || (g - 2u == to->target));
+    const uint32_t part = (k - 1u) % 3u;
+    if (part == 0) {
+        *out = piece(copied->gram, rows->gram, zygos_gram_entries(width));
+    } else if (part == 1u) {
+        *out = piece(copied->sum, rows->sum, width);
+    } else if (g >= 2u) {
+        *out = REST(&to->group[g - 2u], &from->group[g - 2u], zygos_joint_group_t, count);
+    } else {
+        *out = piece(copied->sum, rows->sum, 0u);
+    }
+    out->words = has_it ? 0u : out->words;
+    return true;
+}
+
+/* ---------------------------------------------------------------- running solution */
+
+static void cut_guard(const zygos_arm_t *arm, zygos_work_t *work)
+{
+    copy(SPAN(&work->guard, &arm->guard, zygos_guard_t, known, checksum));
+    work->cycle = arm->cycle;
+}
+
+static bool guard_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
+{
+    const zygos_guard_t *from = &arm->guard;
+    zygos_guard_t *to = &work->guard;
+    if (k == 0) {
+        *out = SPAN(to, from, zygos_guard_t, checksum, covariance);
+    } else {
+        const uint32_t p = least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
+        *out = piece(to->covariance, from->covariance, zygos_gram_entries(p));
+    }
+    return k < 2u;
+}
+
+/* ---------------------------------------------------------------- all kinds */
+
+/* Words of eight bytes that are copied in a cycle. */
+static uint32_t some(const zygos_arm_t *arm)
+{
+    const uint32_t block = zygos_gram_entries(energy_width(&arm->accumulator));
+    return (block > ZYGOS_HANDOVER_LEAST) ? block : ZYGOS_HANDOVER_LEAST;
+}
+
+/* Whether what follows the cut will be copied before the open arc ends, which would have to wait. An arc that is not
+   much longer than that ends too often to be waited for. */
+static bool has_time(const zygos_arm_t *arm, uint32_t words, uint32_t done, uint32_t longest)
+{
+    const uint32_t cycles = words / some(arm) + 8u; /* pieces have ends */
+    return (longest < 2u * cycles) || (done + cycles < longest);
+}
+
+static bool suits(const zygos_arm_t *arm, uint32_t kind)
+{
+    const zygos_config_t *config = &arm->config;
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        const zygos_accumulator_t *from = &arm->accumulator;
+        const uint32_t block = zygos_gram_entries(energy_width(from)) + energy_width(from);
+        return suits_energy(from) && has_time(arm, (from->count + 3u) * block, arm->arc, config->arc_cycles);
+    }
+    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
+        const zygos_motor_sums_t *from = &arm->motor_sums;
+        const uint32_t block = config->joints * WORDS(sizeof from->open.joint[0]) + 16u;
+        return has_time(arm, (from->count + 2u) * block, from->cycles, config->impulse_arc_cycles);
+    }
+    if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
+        const zygos_momentum_sums_t *from = &arm->momentum_sums;
+        const uint32_t block = zygos_gram_entries(momentum_width(from)) + momentum_width(from);
+        return has_time(arm, (from->count + 4u) * block, from->cycles, config->momentum_arc_cycles);
+    }
+    return (kind != ZYGOS_JOINT_KIND) || suits_joints(&arm->joint_sums);
+}
+
+void zygos_handover_begin(zygos_handover_t *self)
+{
+    memset(self, 0, sizeof *self);
+}
+
+uint32_t zygos_handover_held(const zygos_handover_t *self)
+{
+    return ((self->cut != 0) && (self->kind < (uint32_t)ZYGOS_KINDS_OF_ROWS)) ? 1u << self->kind : 0u;
+}
+
+/* An arc that waits for its end is one of the open rows, too. */
+static void cut_ending(const zygos_arm_t *arm, zygos_work_t *work, uint32_t kind)
+{
+    const uint32_t bit = 1u << kind;
+    work->ending = (work->ending & ~bit) | (arm->ending & bit);
+    work->ended[kind] = arm->ended[kind];
+    work->ended_forgetting[kind] = arm->ended_forgetting[kind];
+}
+
+static void cut(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+{
+    switch (self->kind) {
+    case ZYGOS_ENERGY_ROWS:
+        cut_energy(self, arm, work);
+        break;
+    case ZYGOS_MOTOR_ROWS:
+        cut_motors(arm, work);
+        break;
+    case ZYGOS_MOMENTUM_ROWS:
+        cut_momentum(arm, work);
+        break;
+    case ZYGOS_JOINT_KIND:
+        cut_joints(arm, work);
+        break;
+    default:
+        cut_guard(arm, work);
+        break;
+    }
+    if (self->kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) {
+        cut_ending(arm, work, self->kind);
+    }
+    self->cut = 1;
+    self->piece = 0;
+    self->offset = 0;
+    self->dropped = arm->dropped;
+}
+
+static bool piece_of(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work, piece_t *out)
+{
+    switch (self->kind) {
+    case ZYGOS_ENERGY_ROWS:
+        return energy_piece(self, arm, work, self->piece, out);
+    case ZYGOS_MOTOR_ROWS:
+        return motor_piece(arm, work, self->piece, out);
+    case ZYGOS_MOMENTUM_ROWS:
+        return momentum_piece(arm, work, self->piece, out);
+    case ZYGOS_JOINT_KIND:
+        return joint_piece(arm, work, self->piece, out);
+    default:
+        return guard_piece(arm, work, self->piece, out);
+    }
+}
+
+/* Whether something that was to rest has changed since the cut: sums were dropped, or, where there was no block for the
+   open arc, blocks were merged at once; a segment of joint rows has ended. */
+static bool is_disturbed(const zygos_handover_t *self, const zygos_arm_t *arm, const zygos_work_t *work)
+{
+    bool disturbed = (arm->dropped != self->dropped);
+    if (self->kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        const zygos_accumulator_t *from = &arm->accumulator;
+        const zygos_accumulator_t *to = &work->accumulator;
+        disturbed = disturbed || (from->open != to->open) || (from->fresh != to->fresh) || (from->count < to->count);
+        for (uint32_t r = 0; (r < to->count) && (r < (uint32_t)ZYGOS_MAX_BLOCKS); r++) {
+            disturbed = disturbed || (from->order[r] != to->order[r]);
+        }
+    }
+    return disturbed || ((self->kind == ZYGOS_JOINT_KIND) && (arm->joint_sums.end != work->joint_sums.end));
+}
+
+static void next_kind(zygos_handover_t *self)
+{
+    self->kind++;
+    self->cut = 0;
+    self->waited = 0;
+    self->tries = 0;
+}
+
+/* Copies so many words of what follows the cut. Returns whether that was all. */
+static bool copy_some(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work, uint32_t words)
+{
+    piece_t next;
+    uint32_t left = words;
+    while (left > 0) {
+        if (!piece_of(self, arm, work, &next)) {
+            return true;
+        }
+        const uint32_t from = least(self->offset, next.words);
+        const uint32_t part = least(next.words - from, left);
+        copy(piece((unsigned char *)next.to + from * WORD, (const unsigned char *)next.from + from * WORD, part));
+        self->offset = from + part;
+        if (self->offset >= next.words) {
+            self->piece++;
+            self->offset = 0;
+        }
+        left -= (part > 0) ? part : 1u; /* so that pieces without words end, too */
+    }
+    return false;
+}
+
+bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+{
+    if (self->kind >= ZYGOS_HANDOVER_KINDS) {
+        return true;
+    }
+    if ((self->cut != 0) && is_disturbed(self, arm, work)) {
+        self->cut = 0;
+        self->waited = 0;
+        self->tries++;
+    }
+    const bool at_once = (self->tries >= ZYGOS_HANDOVER_TRIES);
+    if (self->cut == 0) {
+        if (!suits(arm, self->kind) && (self->waited < ZYGOS_HANDOVER_PATIENCE) && !at_once) {
+            self->waited++;
+            return false;
+        }
+        cut(self, arm, work);
+        if (!at_once) {
+            return false;
+        }
+    }
+    if (copy_some(self, arm, work, at_once ? UINT32_MAX : some(arm))) {
+        next_kind(self);
+    }
+    return self->kind >= ZYGOS_HANDOVER_KINDS;
+}

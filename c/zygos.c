@@ -1,0 +1,663 @@
+#include "zygos/zygos.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#define MAGIC 0x5A59474Fu /* "ZYGO" */
+/* Calls of zygos_step() without a copy, for each with one, so that tasks have time. */
+#define PAUSES 3u
+/* Calls after which an estimate is adopted although an arc is being compared with the one before. */
+#define PATIENCE 4096u
+/* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
+#define CORRUPT 2u
+
+/* ---------------------------------------------------------------- what was given */
+
+static uintptr_t two_of(uintptr_t a, uintptr_t b, uintptr_t c)
+{
+    return (a & b) | (a & c) | (b & c);
+}
+
+static uint32_t two_of_words(uint32_t a, uint32_t b, uint32_t c)
+{
+    return (a & b) | (a & c) | (b & c);
+}
+
+static zygos_given_t given_to(const zygos_t *self)
+{
+    const zygos_given_t *a = &self->given[0];
+    const zygos_given_t *b = &self->given[1];
+    const zygos_given_t *c = &self->given[2];
+    zygos_given_t out;
+    out.config = two_of(a->config, b->config, c->config);
+    out.memory = two_of(a->memory, b->memory, c->memory);
+    out.refine = two_of(a->refine, b->refine, c->refine);
+    out.background = two_of_words(a->background, b->background, c->background);
+    out.nodes = two_of_words(a->nodes, b->nodes, c->nodes);
+    out.slices = two_of_words(a->slices, b->slices, c->slices);
+    out.reserved = 0;
+    return out;
+}
+
+static void give(zygos_t *self, const zygos_given_t *what)
+{
+    for (uint32_t i = 0; i < 3u; i++) { /* two of them are right at any time */
+        self->given[i] = *what;
+    }
+}
+
+static const zygos_config_t *config_of(const zygos_given_t *given)
+{
+    return (const zygos_config_t *)given->config;
+}
+
+static zygos_background_t *background_of(const zygos_given_t *given)
+{
+    return (given->background != 0) ? (zygos_background_t *)given->memory : NULL;
+}
+
+static zygos_in_place_t *in_place_of(const zygos_given_t *given)
+{
+    return (zygos_in_place_t *)given->memory;
+}
+
+static zygos_estimate_t *estimate_of(const zygos_given_t *given)
+{
+    zygos_background_t *background = background_of(given);
+    return (background != NULL) ? &background->estimate : &in_place_of(given)->estimate;
+}
+
+static zygos_refine_t *refine_of(const zygos_given_t *given)
+{
+    return (zygos_refine_t *)given->refine;
+}
+
+static bool is_same(const zygos_given_t *a, const zygos_given_t *b)
+{
+    return ((a->config ^ b->config) | (a->memory ^ b->memory) | (a->refine ^ b->refine) |
+            (uintptr_t)((a->background ^ b->background) | (a->nodes ^ b->nodes) | (a->slices ^ b->slices))) == 0;
+}
+
+/* One flipped bit of the magic number is none. */
+static bool is_begun(const zygos_t *self)
+{
+    const uint32_t off = self->magic ^ MAGIC;
+    return (off & (off - 1u)) == 0;
+}
+
+static uint32_t stage_of(const zygos_t *self)
+{
+    return __atomic_load_n(&self->stage, __ATOMIC_ACQUIRE);
+}
+
+static void move_to(zygos_t *self, enum zygos_stage stage)
+{
+    __atomic_store_n(&self->stage, (uint32_t)stage, __ATOMIC_RELEASE);
+}
+
+/* That the sums were given up, which the background looks at. */
+static void give_up(zygos_t *self)
+{
+    __atomic_store_n(&self->restarts, self->restarts + 1u, __ATOMIC_RELEASE);
+}
+
+/* Cycles of the longest arc that can be used by itself. */
+static uint64_t longest_arc(const zygos_config_t *config)
+{
+    const uint32_t segment = zygos_joint_sums_longest(config);
+    return (config->arc_cycles > segment) ? config->arc_cycles : segment;
+}
+
+/* Bits of the node numbers from which frames are stored. */
+static uint32_t nodes_of(const zygos_config_t *config)
+{
+    uint32_t nodes = 0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        nodes |= 1u << (config->joint[i].node & 31u);
+    }
+    return nodes | ((config->imu_node != 0) ? 1u << (config->imu_node & 31u) : 0u);
+}
+
+/* All but the state. */
+static int begin(zygos_t *self, const zygos_config_t *config, void *memory, uint32_t bytes)
+{
+    if ((self == NULL) || (config == NULL) || (memory == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const int verdict = zygos_config_check(config);
+    if (verdict < 0) {
+        return verdict;
+    }
+    if (bytes < (uint32_t)sizeof(zygos_in_place_t)) {
+        return ZYGOS_E_MEMORY;
+    }
+    memset(self, 0, offsetof(zygos_t, state));
+    const bool background = (bytes >= (uint32_t)sizeof(zygos_background_t));
+    memset(memory, 0, background ? sizeof(zygos_background_t) : sizeof(zygos_in_place_t));
+    const zygos_given_t given = {
+        .config = (uintptr_t)config,
+        .memory = (uintptr_t)memory,
+        .background = background ? 1u : 0u,
+        .nodes = nodes_of(config),
+    };
+    give(self, &given);
+    self->refined.reason = (uint32_t)ZYGOS_REFINE_WAITS;
+    return 1;
+}
+
+int zygos_init(zygos_t *self, const zygos_config_t *config, void *memory, uint32_t bytes)
+{
+    const int begun = begin(self, config, memory, bytes);
+    if (begun < 0) {
+        return begun;
+    }
+    const int verdict = zygos_arm_init(&self->state, config);
+    if (verdict == 1) {
+        self->state.guard.adopting = 1;
+        self->magic = MAGIC;
+    }
+    return verdict;
+}
+
+int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
+{
+    if ((self == NULL) || (frame == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (!is_begun(self)) {
+        return ZYGOS_E_ORDER;
+    }
+    const uint32_t nodes = two_of_words(self->given[0].nodes, self->given[1].nodes, self->given[2].nodes);
+    const uint32_t node = frame->id & 0x7Fu;
+    const bool own = (frame->flags != 0) || (frame->id == ZYGOS_ID_SYNC) || (node == ZYGOS_NODE_COMPUTER) ||
+                     ((node < 32u) && (((nodes >> node) & 1u) != 0));
+    if (!own) {
+        return 0;
+    }
+    const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_RELAXED);
+    if (head - __atomic_load_n(&self->tail, __ATOMIC_ACQUIRE) >= (uint32_t)ZYGOS_RING) {
+        __atomic_store_n(&self->overrun, self->overrun + 1u, __ATOMIC_RELAXED);
+        return 0;
+    }
+    self->ring[head % (uint32_t)ZYGOS_RING] = *frame;
+    __atomic_store_n(&self->head, head + 1u, __ATOMIC_RELEASE);
+    return 1;
+}
+
+/* ---------------------------------------------------------------- memory that was changed */
+
+/* The copy for a solution is of no use any more. */
+static void copy_anew(zygos_t *self)
+{
+    zygos_handover_begin(&self->handover);
+    self->state.held = 0;
+}
+
+/* Repairs the state; where that is beyond repair, the estimation begins anew. Returns 0 when nothing was found, 1 when
+   something was, or ZYGOS_E_CONFIG where the caller's configuration contradicts the copies of it. */
+static int mend(zygos_t *self, const zygos_given_t *given)
+{
+    self->state.held = 0;
+    const int found = zygos_arm_scrub(&self->state, config_of(given));
+    memset(&self->patrol, 0, sizeof self->patrol);
+    copy_anew(self);
+    if (found == ZYGOS_E_CONFIG) {
+        return found;
+    }
+    if (found < 0) {
+        (void)zygos_arm_init(&self->state, config_of(given));
+        self->state.guard.adopting = 1;
+        self->losses++;
+        give_up(self);
+    } else if (found > 0) {
+        self->repairs++;
+    }
+    return (found != 0) ? 1 : 0;
+}
+
+/* ---------------------------------------------------------------- the task */
+
+/* Places that memory errors have moved apart lose what waits. */
+static uint32_t waiting(zygos_t *self)
+{
+    const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_ACQUIRE);
+    if (head - self->tail > (uint32_t)ZYGOS_RING) {
+        __atomic_store_n(&self->tail, head, __ATOMIC_RELEASE);
+    }
+    return head - self->tail;
+}
+
+/* Decodes frames until a cycle is complete. Returns false where memory was changed. */
+static bool decode(zygos_t *self, bool all)
+{
+    bool good = zygos_receiver_intact(&self->state.receiver);
+    for (uint32_t left = waiting(self); (left > 0) && good; left--) {
+        if (!all && (zygos_receiver_front(&self->state.receiver) != NULL)) {
+            return true;
+        }
+        good = (zygos_arm_frame(&self->state, &self->ring[self->tail % (uint32_t)ZYGOS_RING]) >= 0);
+        __atomic_store_n(&self->tail, self->tail + 1u, __ATOMIC_RELEASE);
+    }
+    const uint32_t lost = __atomic_load_n(&self->overrun, __ATOMIC_RELAXED);
+    self->state.receiver.faults.overrun += lost - self->overrun_counted;
+    self->overrun_counted = lost;
+    return good && zygos_receiver_intact(&self->state.receiver);
+}
+
+/* A comparison with the adopted estimate should not begin with one and end with another. */
+static bool is_comparing(const zygos_arm_t *arm)
+{
+    return zygos_accumulator_closing(&arm->accumulator) || (arm->motor_sums.task == ZYGOS_MOTOR_CLOSE) ||
+           (arm->motor_sums.task == ZYGOS_MOTOR_JUDGE) || (arm->momentum_sums.task == ZYGOS_MOMENTUM_JUDGE) ||
+           (arm->ending != 0);
+}
+
+/* Judges what is refined by a new estimate. */
+static void judge(zygos_t *self, const zygos_given_t *given)
+{
+    const zygos_refine_t *refine = refine_of(given);
+    if (refine != NULL) {
+        (void)zygos_refine_judge(refine, config_of(given), estimate_of(given), &self->refined);
+    }
+}
+
+/* The refinement of another arm ends. */
+static void refine_anew(zygos_t *self, const zygos_given_t *given)
+{
+    zygos_refine_t *refine = refine_of(given);
+    if (refine != NULL) {
+        const zygos_refine_settings_t settings = refine->settings;
+        (void)zygos_refine_init(refine, config_of(given), &settings);
+        self->refined.published = 0;
+        self->refined.reason = (uint32_t)ZYGOS_REFINE_WAITS;
+    }
+    self->refines_anew = 0;
+}
+
+/* Adopts the estimate that the background has left. */
+static void adopt(zygos_t *self, const zygos_given_t *given)
+{
+    zygos_background_t *background = background_of(given);
+    const zygos_estimate_t *estimate = estimate_of(given);
+    zygos_arm_t *arm = &self->state;
+    const bool current = (((background != NULL) ? background->of : in_place_of(given)->of) == self->restarts);
+    if ((background != NULL) && is_comparing(arm) && (self->waited < PATIENCE)) {
+        self->waited++;
+        return;
+    }
+    self->waited = 0;
+    uint32_t *corrupt = (background != NULL) ? &background->corrupt : &in_place_of(given)->corrupt;
+    *corrupt = (estimate->reason == (uint32_t)ZYGOS_REASON_CORRUPT) ? *corrupt + 1u : 0u;
+    if (*corrupt > 0) {
+        if ((mend(self, given) == 0) && (*corrupt >= CORRUPT)) {
+            (void)zygos_arm_restart(arm, (uint32_t)ZYGOS_KEEP_FAULTS);
+            give_up(self);
+        }
+    } else if (current && ((background == NULL) || (estimate->since > 0))) {
+        (void)zygos_arm_adopt(arm, estimate); /* where sums are dropped, which is rare, at once */
+    } else if (current && (background->adopted != 0)) {
+        zygos_guard_take_over(&arm->guard, &background->work.guard);
+    }
+    if (current) {
+        judge(self, given);
+    }
+    self->refining = 0;
+    move_to(self, ZYGOS_STAGE_IDLE);
+}
+
+/* Whether the refinement waits for a start. */
+static bool may_refine(const zygos_t *self, const zygos_refine_t *refine)
+{
+    const bool ended = (self->refined.reason == (uint32_t)ZYGOS_REFINE_FAILED) ||
+                       (self->refined.reason == (uint32_t)ZYGOS_REFINE_CORRUPT);
+    return (refine != NULL) && ((refine->started == 0) || ended);
+}
+
+static uint64_t syncs_of(const zygos_arm_t *arm)
+{
+    const uint64_t sync = arm->receiver.assembly.sync;
+    return (sync > arm->cycle) ? sync : arm->cycle;
+}
+
+/* The age of the sums, for an estimate. */
+static void date(const zygos_t *self, zygos_estimate_t *out)
+{
+    const uint64_t now = syncs_of(&self->state);
+    out->unused = (now > self->state.added) ? now - self->state.added : 0u;
+    out->restored = (self->state.restored > 0) ? 1u : 0u;
+}
+
+static void hand_over(zygos_t *self, const zygos_given_t *given)
+{
+    zygos_background_t *background = background_of(given);
+    if (background == NULL) {
+        if ((self->rested < longest_arc(config_of(given))) && (self->copied > 0)) {
+            return;
+        }
+        self->copied = 1;
+        if (zygos_arm_end_arcs(&self->state) < 0) {
+            (void)mend(self, given);
+            return;
+        }
+        in_place_of(given)->of = self->restarts;
+    } else {
+        if ((self->handover.kind == 0) && (self->handover.cut == 0) && (self->handover.waited == 0)) {
+            if (self->rested < PAUSES * self->copied) {
+                return;
+            }
+            self->copied = 0;
+        }
+        self->copied++;
+        const bool done = zygos_handover_part(&self->handover, &self->state, &background->work);
+        self->state.held = zygos_handover_held(&self->handover);
+        self->state.beside = 1;
+        if (!done) {
+            return;
+        }
+        background->of = self->restarts;
+        zygos_handover_begin(&self->handover);
+    }
+    self->rested = 0;
+    date(self, estimate_of(given));
+    self->refining = may_refine(self, refine_of(given)) ? 1u : 0u;
+    move_to(self, ZYGOS_STAGE_GIVEN);
+}
+
+/* What is done beside a cycle. Returns false while the sums belong to a solution in place. */
+static bool attend(zygos_t *self, const zygos_given_t *given)
+{
+    const uint32_t stage = stage_of(self);
+    self->rested++;
+    self->state.beside = 0;
+    if ((self->refines_anew != 0) && ((stage != (uint32_t)ZYGOS_STAGE_GIVEN) || (self->refining == 0))) {
+        refine_anew(self, given);
+    }
+    if (stage == (uint32_t)ZYGOS_STAGE_GIVEN) {
+        return given->background != 0;
+    }
+    if (stage == (uint32_t)ZYGOS_STAGE_SOLVED) {
+        adopt(self, given);
+    } else if (stage == (uint32_t)ZYGOS_STAGE_ASKED) {
+        hand_over(self, given);
+        return (given->background != 0) || (stage_of(self) != (uint32_t)ZYGOS_STAGE_GIVEN);
+    } else if (stage != (uint32_t)ZYGOS_STAGE_IDLE) {
+        move_to(self, ZYGOS_STAGE_IDLE); /* a stage that does not exist */
+    }
+    return true;
+}
+
+/* The cycle that waits, and the slices of the refinement. */
+static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_t *cycle)
+{
+    zygos_refine_t *task = refine_of(given);
+    if (task == NULL) {
+        return;
+    }
+    int done = (cycle != NULL) ? zygos_refine_cycle(task, cycle) : 1;
+    if (self->refining != 0) {
+        return; /* the background begins it */
+    }
+    const uint32_t most = (given->slices > 0) ? given->slices : UINT32_MAX;
+    for (uint32_t slice = 0; (slice < most) && (done >= 0); slice++) {
+        done = zygos_refine_step(task, config_of(given));
+        if (done == 0) {
+            break;
+        }
+    }
+    if (done < 0) {
+        (void)zygos_refine_scrub(task, config_of(given));
+    }
+}
+
+static int patrol(zygos_t *self, const zygos_given_t *given)
+{
+    return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
+}
+
+/* The parts that are common to frames and cycles. Returns whether a cycle may be processed. */
+static bool prepare(zygos_t *self, zygos_given_t *given)
+{
+    *given = given_to(self);
+    for (uint32_t i = 0; i < 3u; i++) { /* the others read this at any time: nothing is written where nothing flipped */
+        if (!is_same(&self->given[i], given)) {
+            self->given[i] = *given;
+        }
+    }
+    if (self->magic != MAGIC) {
+        self->magic = MAGIC;
+    }
+    return attend(self, given);
+}
+
+int zygos_step(zygos_t *self)
+{
+    if (self == NULL) {
+        return ZYGOS_E_NULL;
+    }
+    if (!is_begun(self)) {
+        return ZYGOS_E_ORDER;
+    }
+    zygos_given_t given;
+    if (!prepare(self, &given)) {
+        return 0;
+    }
+    int mended = decode(self, false) ? 0 : mend(self, &given);
+    const zygos_cycle_t *cycle = (mended < 0) ? NULL : zygos_receiver_front(&self->state.receiver);
+    if (cycle == NULL) {
+        return (mended < 0) ? mended : 0;
+    }
+    mended = patrol(self, &given);
+    if (mended < 0) {
+        return mended;
+    }
+    refine(self, &given, zygos_receiver_front(&self->state.receiver));
+    int stepped = zygos_arm_step(&self->state);
+    if (stepped < 0) {
+        mended = mend(self, &given);
+        stepped = (mended < 0) ? mended : zygos_arm_step(&self->state);
+    }
+    return stepped;
+}
+
+int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
+{
+    if ((self == NULL) || (cycle == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (!is_begun(self)) {
+        return ZYGOS_E_ORDER;
+    }
+    zygos_given_t given;
+    if (!prepare(self, &given)) {
+        return 0;
+    }
+    int mended = patrol(self, &given);
+    int stepped = (mended < 0) ? mended : zygos_arm_cycle(&self->state, cycle);
+    if ((stepped < 0) && (mended >= 0)) {
+        mended = mend(self, &given);
+        stepped = (mended < 0) ? mended : zygos_arm_cycle(&self->state, cycle);
+    }
+    refine(self, &given, (stepped > 0) ? cycle : NULL);
+    return stepped;
+}
+
+int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_settings_t *settings, uint32_t slices)
+{
+    if ((self == NULL) || (refine == NULL) || (settings == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (!is_begun(self)) {
+        return ZYGOS_E_ORDER;
+    }
+    zygos_given_t given = given_to(self);
+    const int verdict = zygos_refine_init(refine, config_of(&given), settings);
+    if (verdict == 1) {
+        given.refine = (uintptr_t)refine;
+        given.slices = slices;
+        give(self, &given);
+    }
+    return verdict;
+}
+
+int zygos_restart(zygos_t *self, uint32_t keep)
+{
+    if (self == NULL) {
+        return ZYGOS_E_NULL;
+    }
+    if (!is_begun(self)) {
+        return ZYGOS_E_ORDER;
+    }
+    const zygos_given_t given = given_to(self);
+    if ((given.background == 0) && (stage_of(self) == (uint32_t)ZYGOS_STAGE_GIVEN)) {
+        return 0;
+    }
+    (void)decode(self, true);
+    const int verdict = zygos_arm_restart(&self->state, keep);
+    if (verdict == ZYGOS_E_KEEP) {
+        return verdict;
+    }
+    if (verdict < 0) {
+        (void)zygos_arm_init(&self->state, config_of(&given)); /* the configuration in memory was changed */
+        self->losses++;
+    }
+    self->state.restored = 0;
+    self->state.guard.adopting = 1;
+    copy_anew(self);
+    self->refines_anew = 1;
+    give_up(self);
+    return 1;
+}
+
+int zygos_seal(zygos_t *self, uint8_t *head)
+{
+    if ((self == NULL) || (head == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (!is_begun(self)) {
+        return ZYGOS_E_ORDER;
+    }
+    const zygos_given_t given = given_to(self);
+    if ((given.background == 0) && (stage_of(self) == (uint32_t)ZYGOS_STAGE_GIVEN)) {
+        return 0;
+    }
+    const uint64_t losses = self->losses;
+    const int mended = mend(self, &given);
+    self->state.beside = 0;
+    if (mended < 0) {
+        return mended;
+    }
+    return (losses == self->losses) ? zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &self->state, head) : ZYGOS_E_STATE;
+}
+
+int zygos_resume(zygos_t *self, const zygos_config_t *config, void *memory, uint32_t bytes, const uint8_t *head,
+                 uint32_t length)
+{
+    if ((self == NULL) || (head == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const int begun = begin(self, config, memory, bytes);
+    if (begun < 0) {
+        return begun;
+    }
+    int verdict = zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &self->state, length);
+    verdict = (verdict == 1) ? zygos_arm_resume(&self->state, config) : verdict;
+    if (verdict < 0) {
+        return verdict;
+    }
+    self->state.held = 0;
+    self->state.beside = 0;
+    if (zygos_arm_scrub(&self->state, config) != 0) {
+        return ZYGOS_E_SUMS;
+    }
+    self->state.restored = self->state.cycle;
+    self->state.guard.adopting = 1;
+    self->magic = MAGIC;
+    return 1;
+}
+
+/* ---------------------------------------------------------------- the background */
+
+/* Whether the newest arc differs from those before by more than noise. */
+static void compare(zygos_background_t *background)
+{
+    zygos_estimate_t *before = &background->estimate;
+    const int compared = zygos_detect_change(&background->work, before, background->deviation);
+    background->changed = 0;
+    for (uint32_t i = 0; (compared == 1) && (before->validity == (uint32_t)ZYGOS_VALID) && (i < before->parameters) &&
+                         (i < (uint32_t)ZYGOS_MAX_PARAMETERS);
+         i++) {
+        const double deviation = background->deviation[i];
+        background->changed |= ((deviation >= ZYGOS_CHANGE_ALARM) || (deviation <= -ZYGOS_CHANGE_ALARM)) ? 1u : 0u;
+    }
+}
+
+/* Values of an arm that was not seen for longer than an arc may be those of another one. */
+static void age(zygos_estimate_t *estimate, const zygos_config_t *config)
+{
+    if ((estimate->unused > longest_arc(config)) && (estimate->validity >= (uint32_t)ZYGOS_PARTIAL)) {
+        estimate->validity = ZYGOS_DOUBTFUL;
+        estimate->reason = ZYGOS_REASON_OLD;
+    }
+}
+
+static void solve_copy(zygos_background_t *background, const zygos_config_t *config)
+{
+    zygos_estimate_t *estimate = &background->estimate;
+    zygos_work_t *work = &background->work;
+    (void)zygos_work_solve(work, estimate);
+    estimate->changed = background->changed;
+    background->adopted = zygos_guard_adopt(&work->guard, config, &work->column_map, &work->accumulator,
+                                            &work->motor_sums, &work->momentum_sums, &work->joint_sums, estimate)
+                              ? 1u
+                              : 0u;
+    background->compares = (estimate->blocks >= ZYGOS_CHANGE_MIN_BLOCKS) ? 1u : 0u;
+}
+
+int zygos_solve(zygos_t *self, zygos_estimate_t *out)
+{
+    if ((self == NULL) || (out == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (!is_begun(self)) {
+        return ZYGOS_E_ORDER;
+    }
+    const uint32_t stage = stage_of(self);
+    if (stage == (uint32_t)ZYGOS_STAGE_IDLE) {
+        move_to(self, ZYGOS_STAGE_ASKED);
+        return 0;
+    }
+    if (stage != (uint32_t)ZYGOS_STAGE_GIVEN) {
+        return 0;
+    }
+    const zygos_given_t given = given_to(self);
+    const zygos_config_t *config = config_of(&given);
+    zygos_background_t *background = background_of(&given);
+    zygos_estimate_t *estimate = estimate_of(&given);
+    const uint64_t unused = estimate->unused;
+    const uint32_t restored = estimate->restored;
+    uint64_t of = 0;
+    if (background != NULL) {
+        of = background->of;
+        background->work.config = *config;
+        if (background->compares != 0) {
+            compare(background);
+            background->compares = 0;
+            move_to(self, ZYGOS_STAGE_IDLE);
+            return 0;
+        }
+        solve_copy(background, config);
+    } else {
+        of = in_place_of(&given)->of;
+        (void)zygos_arm_solve_ended(&self->state, &in_place_of(&given)->solver, estimate);
+    }
+    estimate->unused = unused;
+    estimate->restored = restored;
+    if ((self->refining != 0) && (estimate->validity == (uint32_t)ZYGOS_VALID)) {
+        (void)zygos_refine_start(refine_of(&given), config, estimate, NULL);
+    }
+    age(estimate, config);
+    *out = *estimate;
+    const bool current = (of == __atomic_load_n(&self->restarts, __ATOMIC_ACQUIRE));
+    move_to(self, ZYGOS_STAGE_SOLVED);
+    return current ? 1 : 0;
+}
