@@ -4,10 +4,8 @@
 #include <string.h>
 
 #define MAGIC 0x5A59474Fu /* "ZYGO" */
-/* Calls of zygos_step() without a copy, for each with one, so that tasks have time. */
-#define PAUSES 3u
 /* Calls after which an estimate is adopted although an arc is being compared with the one before. */
-#define PATIENCE 4096u
+#define PATIENCE 512u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
 
@@ -342,7 +340,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         in_place_of(given)->of = self->restarts;
     } else {
         if ((self->handover.kind == 0) && (self->handover.cut == 0) && (self->handover.waited == 0)) {
-            if (self->rested < PAUSES * self->copied) {
+            if (self->rested < self->copied) { /* the tasks that have waited proceed */
                 return;
             }
             self->copied = 0;
