@@ -4,7 +4,8 @@
 #include <string.h>
 
 #define MAGIC 0x5A59474Fu /* "ZYGO" */
-/* Calls after which an estimate is adopted although an arc is being compared with the one before. */
+/* Calls after which an estimate is adopted although an arc is being compared with the one before, and without a cycle,
+   after which the bus counts as silent. */
 #define PATIENCE 512u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
@@ -412,19 +413,19 @@ static int patrol(zygos_t *self, const zygos_given_t *given)
     return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
 }
 
-/* The parts that are common to frames and cycles. Returns whether a cycle may be processed. */
-static bool prepare(zygos_t *self, zygos_given_t *given)
+/* Repairs what a flipped bit has changed of what was given, and returns it. */
+static zygos_given_t prepare(zygos_t *self)
 {
-    *given = given_to(self);
+    const zygos_given_t given = given_to(self);
     for (uint32_t i = 0; i < 3u; i++) { /* the others read this at any time: nothing is written where nothing flipped */
-        if (!is_same(&self->given[i], given)) {
-            self->given[i] = *given;
+        if (!is_same(&self->given[i], &given)) {
+            self->given[i] = given;
         }
     }
     if (self->magic != MAGIC) {
         self->magic = MAGIC;
     }
-    return attend(self, given);
+    return given;
 }
 
 int zygos_step(zygos_t *self)
@@ -435,14 +436,20 @@ int zygos_step(zygos_t *self)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    zygos_given_t given;
-    if (!prepare(self, &given)) {
+    const zygos_given_t given = prepare(self);
+    int mended = decode(self, false) ? 0 : mend(self, &given);
+    if (mended < 0) {
+        return mended;
+    }
+    /* Estimates depend on the cycles alone, and not on how often this is called, unless the bus is silent. */
+    const bool waits = (zygos_receiver_front(&self->state.receiver) != NULL);
+    self->quiet = waits ? 0u : self->quiet + 1u;
+    if ((waits || (self->quiet > PATIENCE)) && !attend(self, &given)) {
         return 0;
     }
-    int mended = decode(self, false) ? 0 : mend(self, &given);
-    const zygos_cycle_t *cycle = (mended < 0) ? NULL : zygos_receiver_front(&self->state.receiver);
-    if (cycle == NULL) {
-        return (mended < 0) ? mended : 0;
+    if (!waits) {
+        self->quiet = (self->quiet > PATIENCE) ? PATIENCE : self->quiet;
+        return 0;
     }
     mended = patrol(self, &given);
     if (mended < 0) {
@@ -465,8 +472,8 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    zygos_given_t given;
-    if (!prepare(self, &given)) {
+    const zygos_given_t given = prepare(self);
+    if (!attend(self, &given)) {
         return 0;
     }
     int mended = patrol(self, &given);

@@ -398,6 +398,7 @@ def test_places_of_the_ring_and_stages_that_cannot_be_do_no_harm(begun: tuple[Lo
         loop.native.stage ^= 1 << 17
         assert loop.step() == 0
         assert loop.native.head == loop.native.tail
+        loop.cycle(array + k)
         assert loop.native.stage == IDLE
     loop.native.magic ^= 8
     assert loop.cycle(array + k) == 1
