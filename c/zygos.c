@@ -3,12 +3,20 @@
 #include <stddef.h>
 #include <string.h>
 
-#define MAGIC 0x5A59474Fu /* "ZYGO" */
 /* Calls after which an estimate is adopted although an arc is being compared with the one before, and without a cycle,
    after which the bus counts as silent. */
 #define PATIENCE 512u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
+
+/* Programs that never call zygos_refine() do not link the refinement: these references need no definition. The
+   functions are there where a refinement is attached. */
+#pragma weak zygos_refine_init
+#pragma weak zygos_refine_start
+#pragma weak zygos_refine_cycle
+#pragma weak zygos_refine_step
+#pragma weak zygos_refine_scrub
+#pragma weak zygos_refine_judge
 
 /* ---------------------------------------------------------------- what was given */
 
@@ -80,7 +88,7 @@ static bool is_same(const zygos_given_t *a, const zygos_given_t *b)
 /* One flipped bit of the magic number is none. */
 static bool is_begun(const zygos_t *self)
 {
-    const uint32_t off = self->magic ^ MAGIC;
+    const uint32_t off = self->magic ^ ZYGOS_BEGUN;
     return (off & (off - 1u)) == 0;
 }
 
@@ -153,7 +161,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config, void *memory, uint32
     const int verdict = zygos_arm_init(&self->state, config);
     if (verdict == 1) {
         self->state.guard.adopting = 1;
-        self->magic = MAGIC;
+        self->magic = ZYGOS_BEGUN;
     }
     return verdict;
 }
@@ -422,8 +430,8 @@ static zygos_given_t prepare(zygos_t *self)
             self->given[i] = given;
         }
     }
-    if (self->magic != MAGIC) {
-        self->magic = MAGIC;
+    if (self->magic != ZYGOS_BEGUN) {
+        self->magic = ZYGOS_BEGUN;
     }
     return given;
 }
@@ -484,24 +492,6 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     }
     refine(self, &given, (stepped > 0) ? cycle : NULL);
     return stepped;
-}
-
-int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_settings_t *settings, uint32_t slices)
-{
-    if ((self == NULL) || (refine == NULL) || (settings == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    if (!is_begun(self)) {
-        return ZYGOS_E_ORDER;
-    }
-    zygos_given_t given = given_to(self);
-    const int verdict = zygos_refine_init(refine, config_of(&given), settings);
-    if (verdict == 1) {
-        given.refine = (uintptr_t)refine;
-        given.slices = slices;
-        give(self, &given);
-    }
-    return verdict;
 }
 
 int zygos_restart(zygos_t *self, uint32_t keep)
@@ -576,7 +566,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config, void *memory, uint
     }
     self->state.restored = self->state.cycle;
     self->state.guard.adopting = 1;
-    self->magic = MAGIC;
+    self->magic = ZYGOS_BEGUN;
     return 1;
 }
 
@@ -640,7 +630,7 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     zygos_estimate_t *estimate = estimate_of(&given);
     const uint64_t unused = estimate->unused;
     const uint32_t restored = estimate->restored;
-    uint64_t of = 0;
+    uint32_t of = 0;
     if (background != NULL) {
         of = background->of;
         background->work.config = *config;
