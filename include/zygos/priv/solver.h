@@ -136,6 +136,8 @@ typedef struct {
     double alone;                        ///< Squared residuals of the energy rows solved alone [J^2].
     double gain_value[ZYGOS_MAX_JOINTS]; ///< Where they are held.
     double gain_cost[ZYGOS_MAX_JOINTS];  ///< Root of what a unit of information on each of them costs in variance.
+    double gain_reference;               ///< Deviation of the error of the sensor that the gains are relative to.
+    double gain_ratios;                  ///< Sum over the gains of its square over theirs.
     double spread;                       ///< Sum of the squared work without the constants of the arcs [J^2].
     struct {
         uint32_t first;
