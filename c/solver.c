@@ -2,6 +2,7 @@
 
 #include "zygos/priv/reduction.h"
 
+#include <stddef.h>
 #include <string.h>
 
 #define MAX_REFUSED_SHARE 0.05
@@ -1682,8 +1683,23 @@ static bool fits_with_gains(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
     return fit.good && ((walk > 1.0) || !energy_disturbed(work, p, fit.left, alone, 1.0 + walk));
 }
 
-/* Solves the blocks from the given one on, with which an arc begins. */
-static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t first)
+/* What tells whether the residuals of a solution are those of bad arcs. */
+typedef struct {
+    double noise_ratio;
+    double cluster;
+} residuals_t;
+
+/* Whether a solution without old arcs has far smaller residuals than that of all arcs. */
+static bool far_smaller(const zygos_estimate_t *out, const residuals_t *all)
+{
+    return (CORRUPTED_RATIO * out->noise_ratio < all->noise_ratio) ||
+           (ZYGOS_CLUSTER_LIMIT * out->cluster < all->cluster);
+}
+
+/* Solves the blocks from the given one on, with which an arc begins. all: null, or the residuals with all blocks; then
+   there is no answer where these are not far smaller, or where the balance does not close: it would not be used, and
+   the standard deviations are most of the cost. */
+static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t first, const residuals_t *all)
 {
     const zygos_accumulator_t *sums = work->accumulator;
     const uint32_t p = work->column_map.parameters;
@@ -1747,6 +1763,9 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
     const bool closed = closes(work, p, out);
+    if ((all != NULL) && (!closed || !far_smaller(out, all))) {
+        return refuse(out, p, ZYGOS_REASON_UNCLOSED);
+    }
     double explained = 0.0;
     const double unexplained = energy_left(work, p, work->solution, &explained);
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
@@ -1867,6 +1886,12 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
+/* Vectors of the solver, and those of an estimate that is put aside, beside which one has its flags. */
+#define VECTORS 15u
+#define ASIDE 4u
+_Static_assert(VECTORS + ASIDE + 1u <= ZYGOS_ROW_BUFFERS * ZYGOS_BUFFER_ROWS, "vectors without a place");
+_Static_assert(ZYGOS_MAX_PACKED <= ZYGOS_MAX_PACKED_ROW, "a covariance without a place");
+
 /* A vector of p entries, where rows wait otherwise: eight in a buffer. */
 static double *vector(zygos_accumulator_t *sums, uint32_t k)
 {
@@ -1892,24 +1917,22 @@ static void borrow(zygos_solver_t *work)
     work->matrix = sums->buffer[2].gram;
     work->factor = sums->noise_open[0].gram;
     work->other_factor = sums->noise_open[1].gram;
-    double **vectors[] = { &work->scale,
-                           &work->right_side,
-                           &work->solution,
-                           &work->size,
-                           &work->noise_shift,
-                           &work->score,
-                           &work->without,
-                           &work->inverse,
-                           &work->information[0],
-                           &work->information[1],
-                           &work->degrees_of_freedom,
-                           &work->linearised_variance,
-                           &work->product,
-                           &work->linearised,
-                           &work->prior_variance };
-    _Static_assert(sizeof vectors / sizeof vectors[0] <= ZYGOS_ROW_BUFFERS * ZYGOS_BUFFER_ROWS,
-                   "vectors without a place");
-    for (uint32_t k = 0; k < sizeof vectors / sizeof vectors[0]; k++) {
+    double **vectors[VECTORS] = { &work->scale,
+                                  &work->right_side,
+                                  &work->solution,
+                                  &work->size,
+                                  &work->noise_shift,
+                                  &work->score,
+                                  &work->without,
+                                  &work->inverse,
+                                  &work->information[0],
+                                  &work->information[1],
+                                  &work->degrees_of_freedom,
+                                  &work->linearised_variance,
+                                  &work->product,
+                                  &work->linearised,
+                                  &work->prior_variance };
+    for (uint32_t k = 0; k < VECTORS; k++) {
         *vectors[k] = vector(sums, k);
     }
 }
@@ -1923,30 +1946,72 @@ static void give_back(zygos_solver_t *work)
     memset(sums->noise_open, 0, sizeof sums->noise_open);
 }
 
-/* Repeats the solution without old arcs where they may be bad. */
+/* The free block with the last place; there is one while fewer than all are in use. */
+static double *free_triangle(zygos_accumulator_t *sums)
+{
+    return sums->block[sums->order[ZYGOS_MAX_BLOCKS - 1]].gram;
+}
+
+/* What comes before the vectors of an estimate. */
+typedef struct {
+    unsigned char byte[offsetof(zygos_estimate_t, identifiable)];
+} head_t;
+
+/* Puts an estimate aside, or takes it back: its vectors into the places behind those of the solver, its covariance into
+   a free block. */
+static void put_aside(zygos_solver_t *work, zygos_estimate_t *out, head_t *head, bool back)
+{
+    double *own[ASIDE] = { out->solution, out->value, out->sigma, out->half95 };
+    const size_t size = work->column_map.parameters * sizeof(double);
+    const size_t triangle = at(work->column_map.parameters, 0) * sizeof(double);
+    for (uint32_t k = 0; k < ASIDE; k++) {
+        double *place = vector(work->accumulator, VECTORS + k);
+        memcpy(back ? own[k] : place, back ? place : own[k], size);
+    }
+    double *flags = vector(work->accumulator, VECTORS + ASIDE);
+    double *covariance = free_triangle(work->accumulator);
+    if (back) {
+        memcpy(out, head, sizeof *head);
+        memcpy(out->identifiable, flags, work->column_map.parameters * sizeof out->identifiable[0]);
+        memcpy(out->covariance, covariance, triangle);
+    } else {
+        memcpy(head, out, sizeof *head);
+        memcpy(flags, out->identifiable, work->column_map.parameters * sizeof out->identifiable[0]);
+        memcpy(covariance, out->covariance, triangle);
+    }
+}
+
+/* Repeats the solution without old arcs where they may be bad. The solution of all arcs is put aside meanwhile, so that
+   it need not be made again. Where every block is in use, as at most in the first instants of an arc, there is no place
+   for it, and it is the answer. */
 static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
 {
     const zygos_accumulator_t *sums = work->accumulator;
-    int answer = solve_from(work, out, 0);
-    if ((work->guard->adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out)) {
+    int answer = solve_from(work, out, 0, NULL);
+    if ((work->guard->adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out) ||
+        (sums->count >= (uint32_t)ZYGOS_MAX_BLOCKS)) {
         return answer;
     }
-    const double ratio = out->noise_ratio;
-    const double clustered = out->cluster;
+    const residuals_t all = { .noise_ratio = out->noise_ratio, .cluster = out->cluster };
+    const int whole = answer;
+    head_t head;
     uint32_t first = 0;
     bool better = false;
+    put_aside(work, out, &head, false);
     for (uint32_t quarter = 1; !better && (quarter <= 2u); quarter++) {
         const uint32_t next = next_arc(sums, quarter * sums->open / 4u);
         if ((next > first) && several_behind(sums, next)) {
             first = next;
-            answer = solve_from(work, out, first);
+            answer = solve_from(work, out, first, &all);
             better = ((out->validity == (uint32_t)ZYGOS_VALID) || (out->reason == (uint32_t)ZYGOS_REASON_CHANGED)) &&
-                     ((CORRUPTED_RATIO * out->noise_ratio < ratio) || (ZYGOS_CLUSTER_LIMIT * out->cluster < clustered));
+                     far_smaller(out, &all);
         }
     }
-    if ((first > 0) && !better) {
-        answer = solve_from(work, out, 0);
+    if (!better) {
+        put_aside(work, out, &head, true);
+        answer = whole;
     }
+    memset(free_triangle(work->accumulator), 0, at(work->column_map.parameters, 0) * sizeof(double));
     return answer;
 }
 
