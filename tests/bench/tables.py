@@ -274,7 +274,7 @@ def _solutions(measured: dict[str, Any]) -> str:
     titles = {name: _title(name, one["parameters"]) for name, one in first.items()}
     lines = [
         [
-            f"{titles[one['configuration']]}: {one['case']}",
+            f"{_title(one['configuration'], one['parameters'])}: {one['case']}",
             one["validity"] + (", without old arcs" if one["left_out"] else ""),
             _number(one["factorisations"]),
             _number(one["most"]),
