@@ -6,6 +6,8 @@
 /* Calls after which an estimate is adopted although an arc is being compared with the one before, and without a cycle,
    after which the bus counts as silent. */
 #define PATIENCE 512u
+/* Time constants of forgetting after which sums count as forgotten: 5 % are left. */
+#define FADED 3.0
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
 
@@ -577,12 +579,39 @@ static void compare(zygos_background_t *background)
 {
     zygos_estimate_t *before = &background->estimate;
     const int compared = zygos_detect_change(&background->work, before, background->deviation);
-    background->changed = 0;
+    uint32_t differs = 0;
     for (uint32_t i = 0; (compared == 1) && (before->validity == (uint32_t)ZYGOS_VALID) && (i < before->parameters) &&
                          (i < (uint32_t)ZYGOS_MAX_PARAMETERS);
          i++) {
         const double deviation = background->deviation[i];
-        background->changed |= ((deviation >= ZYGOS_CHANGE_ALARM) || (deviation <= -ZYGOS_CHANGE_ALARM)) ? 1u : 0u;
+        differs |= ((deviation >= ZYGOS_CHANGE_ALARM) || (deviation <= -ZYGOS_CHANGE_ALARM)) ? 1u : 0u;
+    }
+    if (differs != 0) {
+        background->changed = 1;
+        background->changed_of = background->of;
+        background->unchanged = before->cycle;
+    }
+}
+
+/* The share that sums from before a cycle still have, by the factor of forgetting. */
+static bool has_faded(const zygos_config_t *config, uint64_t cycles)
+{
+    const double factor = config->forgetting_factor;
+    return (factor < 1.0) && ((double)cycles * (1.0 - factor) > FADED);
+}
+
+/* The values are those of both arms, as long as the sums have both. */
+static void doubt(zygos_background_t *background, const zygos_config_t *config)
+{
+    zygos_estimate_t *estimate = &background->estimate;
+    const bool gone = (background->changed_of != background->of) || (estimate->since >= background->unchanged) ||
+                      (estimate->cycle < background->unchanged) ||
+                      has_faded(config, estimate->cycle - background->unchanged);
+    background->changed = gone ? 0u : background->changed;
+    estimate->changed = background->changed;
+    if ((estimate->changed != 0) && (estimate->validity >= (uint32_t)ZYGOS_PARTIAL)) {
+        estimate->validity = ZYGOS_DOUBTFUL;
+        estimate->reason = ZYGOS_REASON_CHANGED;
     }
 }
 
@@ -600,11 +629,13 @@ static void solve_copy(zygos_background_t *background, const zygos_config_t *con
     zygos_estimate_t *estimate = &background->estimate;
     zygos_work_t *work = &background->work;
     (void)zygos_work_solve(work, estimate);
-    estimate->changed = background->changed;
-    background->adopted = zygos_guard_adopt(&work->guard, config, &work->column_map, &work->accumulator,
-                                            &work->motor_sums, &work->momentum_sums, &work->joint_sums, estimate)
-                              ? 1u
-                              : 0u;
+    doubt(background, config);
+    background->adopted = 0;
+    if ((estimate->changed == 0) &&
+        zygos_guard_adopt(&work->guard, config, &work->column_map, &work->accumulator, &work->motor_sums,
+                          &work->momentum_sums, &work->joint_sums, estimate)) {
+        background->adopted = 1;
+    }
     background->compares = (estimate->blocks >= ZYGOS_CHANGE_MIN_BLOCKS) ? 1u : 0u;
 }
 

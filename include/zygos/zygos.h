@@ -74,10 +74,11 @@ typedef struct {
     double deviation[ZYGOS_MAX_PARAMETERS]; ///< and these are the deviations of the newest arc from it.
     uint32_t of;                            ///< zygos_t.restarts when the copy was made.
     uint32_t compares;                      ///< 1: this copy is for a comparison, and not for an estimate.
-    uint32_t changed;                       ///< 1: the newest comparison has found another arm.
+    uint32_t changed;                       ///< 1: a comparison has found another arm,
+    uint32_t changed_of;                    ///< when zygos_t.restarts was this.
+    uint64_t unchanged;                     ///< The newest cycle of the arm before.
     uint32_t corrupt;                       ///< Estimates in a row whose sums were corrupt.
     uint32_t adopted;                       ///< 1: the estimate can be adopted.
-    uint32_t reserved;
 } zygos_background_t;
 
 /// Memory for solutions without a copy of the sums: while one is computed, frames wait, and arcs end before it. There
@@ -103,14 +104,6 @@ typedef struct {
 
 /// zygos_t.magic of an arm that zygos_init() or zygos_resume() has prepared.
 #define ZYGOS_BEGUN 0x5A59474Fu
-
-/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on.
-enum zygos_stage {
-    ZYGOS_STAGE_IDLE = 0,
-    ZYGOS_STAGE_ASKED = 1, ///< The task copies the sums.
-    ZYGOS_STAGE_GIVEN = 2, ///< The copy belongs to the background.
-    ZYGOS_STAGE_SOLVED = 3 ///< The estimate waits to be adopted.
-};
 
 /// One arm. The program may read the counters, and in its task state and refined; only the calls below change them.
 typedef struct {

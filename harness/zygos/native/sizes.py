@@ -65,15 +65,15 @@ def _sizes(given: tuple[tuple[str, int], ...]) -> dict[str, int]:
     binding = FFI()
     binding.cdef(_structs(dict(given)))
     structs = {"configuration": "zygos_config_t", "arm": "zygos_t", "background": "zygos_background_t"}
-    structs |= {"in place": "zygos_in_place_t", "estimate": "zygos_estimate_t"}
+    structs |= {"in_place": "zygos_in_place_t", "estimate": "zygos_estimate_t"}
     return {name: int(binding.sizeof(struct)) for name, struct in structs.items()}
 
 
 def memory(capacities: Mapping[str, int], *, in_place: bool = False) -> dict[str, int]:
     """Bytes of a build with these capacities, by macro: ``configuration``, ``arm``, ``background``, ``estimate``.
 
-    in_place: with ``in place`` instead of ``background``. A capacity that is missing has its default. The arm has a
+    in_place: with ``in_place`` instead of ``background``. A capacity that is missing has its default. The arm has a
     copy of the configuration; the constant that it is initialised with is memory of its own, which may be read-only.
     """
-    needless = "background" if in_place else "in place"
+    needless = "background" if in_place else "in_place"
     return {name: size for name, size in _sizes(tuple(sorted(capacities.items()))).items() if name != needless}
