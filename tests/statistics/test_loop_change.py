@@ -92,7 +92,7 @@ def test_a_link_that_is_5_percent_heavier_is_reported_within_one_and_a_half_arcs
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["none", "2"])
 def test_what_is_not_reported_is_hardly_wrong(name: str) -> None:
-    """Without a change nothing is reported. Below the size that is reported, values are off by no more than the change."""
+    """Without a change nothing is. Below the size that is reported, values are off by no more than the change."""
     share, least, most = SHARES[name]
     every = [looks(share, seed) for seed in range(SEEDS)]
     assert least <= sum(any(one.changed for one in found) for found in every) <= most
