@@ -40,9 +40,11 @@ static uint32_t least(uint32_t a, uint32_t b)
 
 /* ---------------------------------------------------------------- energy rows */
 
+/* A width that is not possible is found by the cycle that follows; here it only must not lead out of memory. */
 static uint32_t energy_width(const zygos_accumulator_t *from)
 {
-    return least(from->width, (uint32_t)ZYGOS_MAX_ROW);
+    const uint32_t width = least(from->width, (uint32_t)ZYGOS_MAX_ROW);
+    return (width > 0) ? width : 1u;
 }
 
 static void cut_block(zygos_handover_t *self, const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t place)
@@ -158,6 +160,11 @@ static bool energy_piece(const zygos_handover_t *self, const zygos_arm_t *arm, z
 
 /* ---------------------------------------------------------------- motor rows */
 
+static uint32_t joints_of(const zygos_arm_t *arm)
+{
+    return least(arm->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
+}
+
 static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t *to, uint32_t joints)
 {
     copy(piece(to->joint, from->joint, joints * WORDS(sizeof from->joint[0])));
@@ -169,7 +176,7 @@ static void cut_motors(const zygos_arm_t *arm, zygos_work_t *work)
     const zygos_motor_sums_t *from = &arm->motor_sums;
     zygos_motor_sums_t *to = &work->motor_sums;
     copy(SPAN(to, from, zygos_motor_sums_t, count, open));
-    cut_motor_block(&from->open, &to->open, arm->config.joints);
+    cut_motor_block(&from->open, &to->open, joints_of(arm));
 }
 
 static bool motor_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
@@ -186,7 +193,7 @@ static bool motor_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, 
     }
     const zygos_motor_block_t *block = (b == 0) ? &from->closing : &from->block[b - 1u];
     zygos_motor_block_t *copied = (b == 0) ? &to->closing : &to->block[b - 1u];
-    *out = ((k % 2u) == 1u) ? piece(copied->joint, block->joint, arm->config.joints * WORDS(sizeof block->joint[0]))
+    *out = ((k % 2u) == 1u) ? piece(copied->joint, block->joint, joints_of(arm) * WORDS(sizeof block->joint[0]))
                             : REST(copied, block, zygos_motor_block_t, instants);
     return true;
 }
@@ -387,7 +394,7 @@ static bool suits(const zygos_arm_t *arm, uint32_t kind)
     }
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
         const zygos_motor_sums_t *from = &arm->motor_sums;
-        const uint32_t block = config->joints * WORDS(sizeof from->open.joint[0]) + 16u;
+        const uint32_t block = joints_of(arm) * WORDS(sizeof from->open.joint[0]) + 16u;
         return has_time(arm, (from->count + 2u) * block, from->cycles, config->impulse_arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {

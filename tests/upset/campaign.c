@@ -1,5 +1,5 @@
-/* Flies a recorded motion again and again by the calls of an onboard program, flips one bit of all memory of the library
-   in each trial, and says what came of it.
+/* Flies a recorded motion again and again by the calls of an onboard program, flips one bit of all memory of the
+   library in each trial, and says what came of it.
 
    campaign RUN FIRST LAST TRIALS SEED KIND OUT. RUN is what upset/campaign.py writes: three uint32 (size of a
    configuration, size of a frame, number of frames), the configuration and the frames. Bits flip between two calls in
