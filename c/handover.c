@@ -405,6 +405,21 @@ static bool suits(const zygos_arm_t *arm, uint32_t kind)
     return (kind != ZYGOS_JOINT_KIND) || suits_joints(&arm->joint_sums);
 }
 
+/* Zero of what is zero. */
+static uint32_t fold_of(const zygos_handover_t *self)
+{
+    uint32_t fold = zygos_folded_count(self->kind, self->cut);
+    fold = zygos_folded_count(zygos_folded_count(fold, self->piece), self->offset);
+    fold = zygos_folded_count(zygos_folded_count(fold, self->waited), self->tries);
+    uint64_t all = zygos_folded(fold, self->dropped);
+    for (uint32_t at = 0; at < (uint32_t)sizeof self->apart; at += WORD) {
+        uint64_t word;
+        __builtin_memcpy(&word, &self->apart[at], sizeof word);
+        all = zygos_folded(all, word);
+    }
+    return (uint32_t)(zygos_fold_end(all) >> 32u);
+}
+
 void zygos_handover_begin(zygos_handover_t *self)
 {
     memset(self, 0, sizeof *self);
@@ -514,7 +529,8 @@ static bool copy_some(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work
     return false;
 }
 
-bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+/* Returns whether all is copied. */
+static bool proceed(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     if (self->kind >= ZYGOS_HANDOVER_KINDS) {
         return true;
@@ -539,4 +555,14 @@ bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_w
         next_kind(self);
     }
     return self->kind >= ZYGOS_HANDOVER_KINDS;
+}
+
+bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+{
+    if (self->fold != fold_of(self)) {
+        zygos_handover_begin(self);
+    }
+    const bool done = proceed(self, arm, work);
+    self->fold = fold_of(self);
+    return done;
 }
