@@ -6,6 +6,8 @@
 #define MAGIC 0x5A59474Fu /* "ZYGO" */
 /* Calls of zygos_step() without a copy, for each with one, so that tasks have time. */
 #define PAUSES 3u
+/* The most calls that follow a copy without one, whatever memory says of how long that one took. */
+#define LONGEST_PAUSE 16384u
 /* Calls after which an estimate is adopted although an arc is being compared with the one before. */
 #define PATIENCE 4096u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
@@ -342,7 +344,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         in_place_of(given)->of = self->restarts;
     } else {
         if ((self->handover.kind == 0) && (self->handover.cut == 0) && (self->handover.waited == 0)) {
-            if (self->rested < PAUSES * self->copied) {
+            if ((self->rested < PAUSES * self->copied) && (self->rested < LONGEST_PAUSE)) {
                 return;
             }
             self->copied = 0;
@@ -369,6 +371,7 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
     const uint32_t stage = stage_of(self);
     self->rested++;
     self->state.beside = 0;
+    self->state.held = (stage == (uint32_t)ZYGOS_STAGE_ASKED) ? self->state.held : 0u; /* only a copy holds tasks */
     if ((self->refines_anew != 0) && ((stage != (uint32_t)ZYGOS_STAGE_GIVEN) || (self->refining == 0))) {
         refine_anew(self, given);
     }
