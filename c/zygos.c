@@ -87,14 +87,24 @@ static bool is_begun(const zygos_t *self)
     return (off & (off - 1u)) == 0;
 }
 
+/* Who owns the copy must not depend on one bit: what is stored has each bit three times, and other bits do not count.
+ */
 static uint32_t stage_of(const zygos_t *self)
 {
-    return __atomic_load_n(&self->stage, __ATOMIC_ACQUIRE);
+    const uint32_t stage = __atomic_load_n(&self->stage, __ATOMIC_ACQUIRE);
+    return (uint32_t)ZYGOS_STAGE_ASKED * (two_of_words(stage, stage >> 2u, stage >> 4u) & 3u);
 }
 
 static void move_to(zygos_t *self, enum zygos_stage stage)
 {
     __atomic_store_n(&self->stage, (uint32_t)stage, __ATOMIC_RELEASE);
+}
+
+/* A flag that decides who owns memory, stored like that. */
+#define SET 7u
+static bool is_set(uint32_t flag)
+{
+    return (two_of_words(flag, flag >> 1u, flag >> 2u) & 1u) != 0;
 }
 
 /* That the sums were given up, which the background looks at. */
@@ -361,7 +371,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
     }
     self->rested = 0;
     date(self, estimate_of(given));
-    self->refining = may_refine(self, refine_of(given)) ? 1u : 0u;
+    self->refining = may_refine(self, refine_of(given)) ? SET : 0u;
     move_to(self, ZYGOS_STAGE_GIVEN);
 }
 
@@ -372,7 +382,7 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
     self->rested++;
     self->state.beside = 0;
     self->state.held = (stage == (uint32_t)ZYGOS_STAGE_ASKED) ? self->state.held : 0u; /* only a copy holds tasks */
-    if ((self->refines_anew != 0) && ((stage != (uint32_t)ZYGOS_STAGE_GIVEN) || (self->refining == 0))) {
+    if (is_set(self->refines_anew) && ((stage != (uint32_t)ZYGOS_STAGE_GIVEN) || !is_set(self->refining))) {
         refine_anew(self, given);
     }
     if (stage == (uint32_t)ZYGOS_STAGE_GIVEN) {
@@ -383,8 +393,6 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
     } else if (stage == (uint32_t)ZYGOS_STAGE_ASKED) {
         hand_over(self, given);
         return (given->background != 0) || (stage_of(self) != (uint32_t)ZYGOS_STAGE_GIVEN);
-    } else if (stage != (uint32_t)ZYGOS_STAGE_IDLE) {
-        move_to(self, ZYGOS_STAGE_IDLE); /* a stage that does not exist */
     }
     return true;
 }
@@ -397,7 +405,7 @@ static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_
         return;
     }
     int done = (cycle != NULL) ? zygos_refine_cycle(task, cycle) : 1;
-    if (self->refining != 0) {
+    if (is_set(self->refining)) {
         return; /* the background begins it */
     }
     const uint32_t most = (given->slices > 0) ? given->slices : UINT32_MAX;
@@ -526,7 +534,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     self->state.restored = 0;
     self->state.guard.adopting = 1;
     copy_anew(self);
-    self->refines_anew = 1;
+    self->refines_anew = SET;
     give_up(self);
     return 1;
 }
@@ -655,7 +663,7 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     }
     estimate->unused = unused;
     estimate->restored = restored;
-    if ((self->refining != 0) && (estimate->validity == (uint32_t)ZYGOS_VALID)) {
+    if (is_set(self->refining) && (estimate->validity == (uint32_t)ZYGOS_VALID)) {
         (void)zygos_refine_start(refine_of(&given), config, estimate, NULL);
     }
     age(estimate, config);

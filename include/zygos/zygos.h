@@ -101,12 +101,13 @@ typedef struct {
     uint32_t reserved;
 } zygos_given_t;
 
-/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on.
+/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on. Each
+/// bit is there three times, two places apart, and is what two of them say.
 enum zygos_stage {
     ZYGOS_STAGE_IDLE = 0,
-    ZYGOS_STAGE_ASKED = 1, ///< The task copies the sums.
-    ZYGOS_STAGE_GIVEN = 2, ///< The copy belongs to the background.
-    ZYGOS_STAGE_SOLVED = 3 ///< The estimate waits to be adopted.
+    ZYGOS_STAGE_ASKED = 0x15, ///< The task copies the sums.
+    ZYGOS_STAGE_GIVEN = 0x2A, ///< The copy belongs to the background.
+    ZYGOS_STAGE_SOLVED = 0x3F ///< The estimate waits to be adopted.
 };
 
 /// One arm. The program may read the counters, and in its task state and refined; only the calls below change them.
@@ -123,8 +124,8 @@ typedef struct {
     uint64_t rested;          ///< Calls of zygos_step() since the sums were copied last.
     uint64_t copied;          ///< Calls that this took.
     uint32_t waited;          ///< Calls for which an estimate has waited to be adopted.
-    uint32_t refining;        ///< 1: the background has the memory of the refinement.
-    uint32_t refines_anew;    ///< 1: what is refined is another arm's.
+    uint32_t refining;        ///< Two of the lowest three bits: the background has the memory of the refinement.
+    uint32_t refines_anew;    ///< The same: what is refined is another arm's.
     uint32_t reserved;
     zygos_given_t given[3];
     zygos_handover_t handover;
