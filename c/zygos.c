@@ -25,26 +25,80 @@ static uint32_t two_of_words(uint32_t a, uint32_t b, uint32_t c)
     return (a & b) | (a & c) | (b & c);
 }
 
+/* Copies are turned by so many bits for each: the same bit of two of them, which one particle may flip, is not the same
+   bit of what they say. */
+#define TURN 5u
+
+static uintptr_t turned(uintptr_t word, uint32_t by)
+{
+    const uint32_t bits = 8u * (uint32_t)sizeof word;
+    return (word << (by % bits)) | (word >> ((bits - by) % bits));
+}
+
+static uintptr_t turned_back(uintptr_t word, uint32_t by)
+{
+    return turned(word, 8u * (uint32_t)sizeof word - by);
+}
+
+static uint32_t turned_word(uint32_t word, uint32_t by)
+{
+    return (word << (by % 32u)) | (word >> ((32u - by) % 32u));
+}
+
+static uint32_t turned_word_back(uint32_t word, uint32_t by)
+{
+    return turned_word(word, 32u - by);
+}
+
+static uintptr_t two_of_turned(uintptr_t a, uintptr_t b, uintptr_t c)
+{
+    return two_of(a, turned_back(b, TURN), turned_back(c, 2u * TURN));
+}
+
+static uint32_t two_of_turned_words(uint32_t a, uint32_t b, uint32_t c)
+{
+    return two_of_words(a, turned_word_back(b, TURN), turned_word_back(c, 2u * TURN));
+}
+
+static uint32_t nodes_given_to(const zygos_t *self)
+{
+    return two_of_turned_words(self->given[0].nodes, self->given[1].nodes, self->given[2].nodes);
+}
+
 static zygos_given_t given_to(const zygos_t *self)
 {
     const zygos_given_t *a = &self->given[0];
     const zygos_given_t *b = &self->given[1];
     const zygos_given_t *c = &self->given[2];
     zygos_given_t out;
-    out.config = two_of(a->config, b->config, c->config);
-    out.memory = two_of(a->memory, b->memory, c->memory);
-    out.refine = two_of(a->refine, b->refine, c->refine);
-    out.background = two_of_words(a->background, b->background, c->background);
-    out.nodes = two_of_words(a->nodes, b->nodes, c->nodes);
-    out.slices = two_of_words(a->slices, b->slices, c->slices);
+    out.config = two_of_turned(a->config, b->config, c->config);
+    out.memory = two_of_turned(a->memory, b->memory, c->memory);
+    out.refine = two_of_turned(a->refine, b->refine, c->refine);
+    out.background = two_of_turned_words(a->background, b->background, c->background);
+    out.nodes = nodes_given_to(self);
+    out.slices = two_of_turned_words(a->slices, b->slices, c->slices);
+    out.reserved = 0;
+    return out;
+}
+
+static zygos_given_t copy_of(const zygos_given_t *what, uint32_t k)
+{
+    const uint32_t by = TURN * k;
+    zygos_given_t out;
+    out.config = turned(what->config, by);
+    out.memory = turned(what->memory, by);
+    out.refine = turned(what->refine, by);
+    out.background = turned_word(what->background, by);
+    out.nodes = turned_word(what->nodes, by);
+    out.slices = turned_word(what->slices, by);
     out.reserved = 0;
     return out;
 }
 
 static void give(zygos_t *self, const zygos_given_t *what)
 {
-    for (uint32_t i = 0; i < 3u; i++) { /* two of them are right at any time */
-        self->given[i] = *what;
+    for (uint32_t k = 0; k < 3u; k++) { /* two of them are right at any time */
+        self->given[k] = copy_of(what, k);
     }
 }
 
@@ -179,7 +233,7 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    const uint32_t nodes = two_of_words(self->given[0].nodes, self->given[1].nodes, self->given[2].nodes);
+    const uint32_t nodes = nodes_given_to(self);
     const uint32_t node = frame->id & 0x7Fu;
     const bool own = (frame->flags != 0) || (frame->id == ZYGOS_ID_SYNC) || (node == ZYGOS_NODE_COMPUTER) ||
                      ((node < 32u) && (((nodes >> node) & 1u) != 0));
@@ -429,9 +483,10 @@ static int patrol(zygos_t *self, const zygos_given_t *given)
 static bool prepare(zygos_t *self, zygos_given_t *given)
 {
     *given = given_to(self);
-    for (uint32_t i = 0; i < 3u; i++) { /* the others read this at any time: nothing is written where nothing flipped */
-        if (!is_same(&self->given[i], given)) {
-            self->given[i] = *given;
+    for (uint32_t k = 0; k < 3u; k++) { /* the others read this at any time: nothing is written where nothing flipped */
+        const zygos_given_t right = copy_of(given, k);
+        if (!is_same(&self->given[k], &right)) {
+            self->given[k] = right;
         }
     }
     if (self->magic != MAGIC) {

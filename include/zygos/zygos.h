@@ -89,8 +89,8 @@ typedef struct {
     uint32_t reserved;
 } zygos_in_place_t;
 
-/// What zygos_init() was given, and follows from the configuration for the interrupt. It is kept three times, and a bit
-/// is what two of them say.
+/// What zygos_init() was given, and follows from the configuration for the interrupt. It is kept three times, the
+/// second and the third time turned by 5 and 10 bits, and a bit is what two of them say.
 typedef struct {
     uintptr_t config;
     uintptr_t memory;
