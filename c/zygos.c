@@ -577,14 +577,13 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     if ((given.background == 0) && (stage_of(self) == (uint32_t)ZYGOS_STAGE_GIVEN)) {
         return 0;
     }
+    if (mend(self, &given) == ZYGOS_E_CONFIG) { /* all is made anew from the configuration in memory */
+        return ZYGOS_E_CONFIG;
+    }
     (void)decode(self, true);
     const int verdict = zygos_arm_restart(&self->state, keep);
-    if (verdict == ZYGOS_E_KEEP) {
-        return verdict;
-    }
     if (verdict < 0) {
-        (void)zygos_arm_init(&self->state, config_of(&given)); /* the configuration in memory was changed */
-        self->losses++;
+        return verdict;
     }
     self->state.restored = 0;
     self->state.guard.adopting = 1;

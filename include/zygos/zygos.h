@@ -182,9 +182,10 @@ int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_setti
 
 /// Restarts the estimate with the same configuration, because the payload changed. Frames that have been received are
 /// of the arm before: cycles that they complete are not used. keep: bits of enum zygos_keep. Call it in the task.
-/// Returns 1; ZYGOS_E_NULL, ZYGOS_E_ORDER, or ZYGOS_E_KEEP for an unknown bit, or where there are no motor rows to
-/// keep. An estimate of the sums before is not returned by zygos_solve() any more. Cost: the coefficients of the
-/// smoother, and one memset of the sums.
+/// Memory that was changed is repaired first. Returns 1; 0 while a solution in place is under way; ZYGOS_E_NULL;
+/// ZYGOS_E_ORDER; ZYGOS_E_CONFIG as zygos_step(); or ZYGOS_E_KEEP for an unknown bit, or where there are no motor rows
+/// to keep. An estimate of the sums before is not returned by zygos_solve() any more. Cost: one pass over the sums, the
+/// coefficients of the smoother, and one memset of the sums.
 int zygos_restart(zygos_t *self, uint32_t keep);
 
 /// Verifies and repairs the state, and writes the head of its snapshot: store head and then self->state. Call it in the
