@@ -184,6 +184,13 @@ static uint32_t nodes_of(const zygos_config_t *config)
     return nodes | ((config->imu_node != 0) ? 1u << (config->imu_node & 31u) : 0u);
 }
 
+/* Nothing is refined. */
+static void publish_nothing(zygos_t *self, enum zygos_refine_reason reason)
+{
+    memset(&self->refined, 0, sizeof self->refined);
+    self->refined.reason = (uint32_t)reason;
+}
+
 /* All but the state. */
 static int begin(zygos_t *self, const zygos_config_t *config, void *memory, uint32_t bytes)
 {
@@ -207,7 +214,7 @@ static int begin(zygos_t *self, const zygos_config_t *config, void *memory, uint
         .nodes = nodes_of(config),
     };
     give(self, &given);
-    self->refined.reason = (uint32_t)ZYGOS_REFINE_WAITS;
+    publish_nothing(self, ZYGOS_REFINE_WAITS);
     return 1;
 }
 
@@ -318,12 +325,12 @@ static bool is_comparing(const zygos_arm_t *arm)
            (arm->ending != 0);
 }
 
-/* Judges what is refined by a new estimate. */
+/* Judges what is refined by a new estimate. What cannot be judged is not published any more. */
 static void judge(zygos_t *self, const zygos_given_t *given)
 {
     const zygos_refine_t *refine = refine_of(given);
-    if (refine != NULL) {
-        (void)zygos_refine_judge(refine, config_of(given), estimate_of(given), &self->refined);
+    if ((refine != NULL) && (zygos_refine_judge(refine, config_of(given), estimate_of(given), &self->refined) < 0)) {
+        publish_nothing(self, ZYGOS_REFINE_CORRUPT);
     }
 }
 
@@ -332,10 +339,11 @@ static void refine_anew(zygos_t *self, const zygos_given_t *given)
 {
     zygos_refine_t *refine = refine_of(given);
     if (refine != NULL) {
-        const zygos_refine_settings_t settings = refine->settings;
-        (void)zygos_refine_init(refine, config_of(given), &settings);
-        self->refined.published = 0;
-        self->refined.reason = (uint32_t)ZYGOS_REFINE_WAITS;
+        if (zygos_refine_scrub(refine, config_of(given)) >= 0) { /* else the settings are not to be trusted */
+            const zygos_refine_settings_t settings = refine->settings;
+            (void)zygos_refine_init(refine, config_of(given), &settings);
+        }
+        publish_nothing(self, ZYGOS_REFINE_WAITS);
     }
     self->refines_anew = 0;
 }
