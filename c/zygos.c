@@ -431,6 +431,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         background->of = self->restarts;
         zygos_handover_begin(&self->handover);
     }
+    (void)zygos_arm_count_quarantined(&self->state); /* the estimate lacks them */
     self->rested = 0;
     date(self, estimate_of(given));
     self->refining = may_refine(self, refine_of(given)) ? SET : 0u;
