@@ -8,6 +8,8 @@
 #define PAUSES 3u
 /* The most calls that follow a copy without one, whatever memory says of how long that one took. */
 #define LONGEST_PAUSE 16384u
+/* Parts of the patrol in a call, while a copy waits for its end: as much as a part of the copy. */
+#define PATROLS 8u
 /* Calls after which an estimate is adopted although an arc is being compared with the one before. */
 #define PATIENCE 4096u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
@@ -401,6 +403,27 @@ static void date(const zygos_t *self, zygos_estimate_t *out)
     out->restored = (self->state.restored > 0) ? 1u : 0u;
 }
 
+static int patrol(zygos_t *self, const zygos_given_t *given)
+{
+    return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
+}
+
+/* Whether the tables were verified since the sums were copied, which they may have spoiled otherwise. Does a part of
+   that, also where no cycle arrives. */
+static bool is_verified(zygos_t *self, const zygos_given_t *given, uint64_t copied)
+{
+    if (copied > self->state.cycle) { /* memory errors: it would be waited for in vain */
+        copy_anew(self);
+        return false;
+    }
+    for (uint32_t part = 0; (part < PATROLS) && (self->state.scrubbed < copied); part++) {
+        if (patrol(self, given) != 0) {
+            return false; /* the copy begins anew */
+        }
+    }
+    return self->state.scrubbed >= copied;
+}
+
 static void hand_over(zygos_t *self, const zygos_given_t *given)
 {
     zygos_background_t *background = background_of(given);
@@ -409,9 +432,8 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
             return;
         }
         self->copied = 1;
-        if (zygos_arm_end_arcs(&self->state) < 0) {
-            (void)mend(self, given);
-            return;
+        if ((mend(self, given) < 0) || (zygos_arm_end_arcs(&self->state) < 0)) {
+            return; /* the next cycle says so */
         }
         in_place_of(given)->of = self->restarts;
     } else {
@@ -425,7 +447,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         const bool done = zygos_handover_part(&self->handover, &self->state, &background->work);
         self->state.held = zygos_handover_held(&self->handover);
         self->state.beside = 1;
-        if (!done) {
+        if (!done || !is_verified(self, given, background->work.cycle)) {
             return;
         }
         background->of = self->restarts;
@@ -481,11 +503,6 @@ static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_
     if (done < 0) {
         (void)zygos_refine_scrub(task, config_of(given));
     }
-}
-
-static int patrol(zygos_t *self, const zygos_given_t *given)
-{
-    return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
 }
 
 /* The parts that are common to frames and cycles. Returns whether a cycle may be processed. */
