@@ -1,5 +1,7 @@
 #include "zygos/zygos.h"
 
+#include "zygos/priv/gram.h"
+
 #include <stddef.h>
 #include <string.h>
 
@@ -123,6 +125,24 @@ static zygos_estimate_t *estimate_of(const zygos_given_t *given)
 {
     zygos_background_t *background = background_of(given);
     return (background != NULL) ? &background->estimate : &in_place_of(given)->estimate;
+}
+
+/* What zygos_solve() has left must still be that when zygos_step() adopts it. */
+static uint64_t *seal_of(const zygos_given_t *given)
+{
+    zygos_background_t *background = background_of(given);
+    return (background != NULL) ? &background->seal : &in_place_of(given)->seal;
+}
+
+/* Of the covariance, which is long, only where it is used: where sums are dropped with the estimate. */
+static uint64_t checksum_of(const zygos_given_t *given, const zygos_estimate_t *estimate)
+{
+    const uint32_t most = (uint32_t)ZYGOS_MAX_PARAMETERS;
+    const uint32_t p = (estimate->parameters < most) ? estimate->parameters : most;
+    const bool all = (given->background == 0) || (estimate->since > 0);
+    const uint32_t head = (uint32_t)offsetof(zygos_estimate_t, covariance);
+    const uint64_t sum = zygos_checksum_memory(0, estimate, head);
+    return zygos_checksum_doubles(sum, estimate->covariance, all ? zygos_gram_entries(p) : 0u);
 }
 
 static zygos_refine_t *refine_of(const zygos_given_t *given)
@@ -356,14 +376,16 @@ static void adopt(zygos_t *self, const zygos_given_t *given)
     zygos_background_t *background = background_of(given);
     const zygos_estimate_t *estimate = estimate_of(given);
     zygos_arm_t *arm = &self->state;
-    const bool current = (((background != NULL) ? background->of : in_place_of(given)->of) == self->restarts);
     if ((background != NULL) && is_comparing(arm) && (self->waited < PATIENCE)) {
         self->waited++;
         return;
     }
     self->waited = 0;
+    const bool whole = (*seal_of(given) == checksum_of(given, estimate));
+    const bool current = whole && (((background != NULL) ? background->of : in_place_of(given)->of) == self->restarts);
+    self->repairs += whole ? 0u : 1u; /* an estimate that was changed since is not used */
     uint32_t *corrupt = (background != NULL) ? &background->corrupt : &in_place_of(given)->corrupt;
-    *corrupt = (estimate->reason == (uint32_t)ZYGOS_REASON_CORRUPT) ? *corrupt + 1u : 0u;
+    *corrupt = (whole && (estimate->reason == (uint32_t)ZYGOS_REASON_CORRUPT)) ? *corrupt + 1u : 0u;
     if (*corrupt > 0) {
         if ((mend(self, given) == 0) && (*corrupt >= CORRUPT)) {
             (void)zygos_arm_restart(arm, (uint32_t)ZYGOS_KEEP_FAULTS);
@@ -748,6 +770,7 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     }
     age(estimate, config);
     *out = *estimate;
+    *seal_of(&given) = checksum_of(&given, estimate);
     const bool current = (of == __atomic_load_n(&self->restarts, __ATOMIC_ACQUIRE));
     move_to(self, ZYGOS_STAGE_SOLVED);
     return current ? 1 : 0;

@@ -72,6 +72,7 @@ typedef struct {
     zygos_work_t work;
     zygos_estimate_t estimate;              ///< The newest; after a comparison that without the newest arc,
     double deviation[ZYGOS_MAX_PARAMETERS]; ///< and these are the deviations of the newest arc from it.
+    uint64_t seal;                          ///< Of the estimate, until it is adopted.
     uint64_t of;                            ///< zygos_t.restarts when the copy was made.
     uint32_t compares;                      ///< 1: this copy is for a comparison, and not for an estimate.
     uint32_t changed;                       ///< 1: the newest comparison has found another arm.
@@ -84,6 +85,7 @@ typedef struct {
 typedef struct {
     zygos_solver_t solver;
     zygos_estimate_t estimate;
+    uint64_t seal; ///< As in zygos_background_t, also below.
     uint64_t of;
     uint32_t corrupt;
     uint32_t reserved;
