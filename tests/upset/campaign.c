@@ -27,7 +27,8 @@
 #define APART 50u     /* cycles between two stored states */
 #define EVERY 8u      /* cycles between two calls of zygos_solve() */
 #define PATIENCE_S 30 /* of the processor, for a trial */
-#define MOVED 0.5     /* sigmas that a value may move without a notice */
+#define MOVED 0.5     /* sigmas that a value may move without a notice, */
+#define LATER 2.0     /* and in an estimate of another cycle, which has other arcs */
 #define LOOKS_AFTER 2u
 #define NEAR 8u /* words of eight bytes between half of the pairs */
 #define CALLS 64u
@@ -42,14 +43,14 @@ typedef struct {
     uint64_t other; /* the second bit, or the same */
     uint32_t cycle;
     uint32_t outcome;
-    double moved; /* of the parameter that moved most [sigmas] */
+    double moved; /* of the parameter that moved most [sigmas]; in an estimate of another cycle divided by 4 */
 } record_t;
 
 /* What a caller can see of faults, which does not change in the flight without a flip. */
 typedef struct {
     zygos_faults_t faults;
     uint64_t gaps, invalid, wraps, apart, quarantined, overrun, repairs, losses, lost, restarts, rejected, spoiled,
-        abandoned;
+        abandoned, discarded;
 } faults_t;
 
 /* What an estimate, or what is refined, says of itself. */
@@ -58,7 +59,8 @@ typedef struct {
 } said_t;
 
 typedef struct {
-    uint32_t cycle; /* in which it was there */
+    uint32_t cycle;  /* in which it was there */
+    uint64_t newest; /* cycle in it */
     uint32_t arcs;
     uint32_t parameters;
     faults_t faults;
@@ -182,6 +184,7 @@ static void see_faults(faults_t *out)
     out->overrun = arm->overrun;
     out->repairs = arm->repairs;
     out->losses = arm->losses;
+    out->discarded = arm->state.guard.lost;
     out->lost = arm->refined.lost;
     out->restarts = arm->refined.restarts;
     out->rejected = arm->refined.rejected;
@@ -193,6 +196,7 @@ static void see_estimate(uint32_t cycle, look_t *out)
 {
     memset(out, 0, sizeof *out);
     out->cycle = cycle;
+    out->newest = estimate.cycle;
     out->arcs = estimate.arcs;
     see_faults(&out->faults);
     memcpy(out->said.left_out, estimate.left_out, sizeof out->said.left_out);
@@ -283,7 +287,8 @@ static bool is_as_expected(const look_t *now, const looks_t *expected, double *m
              (memcmp(&now->faults, &behind->faults, sizeof now->faults) == 0));
     const double off = moved(now, before);
     const double other = moved(now, behind);
-    const double less = (off <= other) ? off : other;
+    const bool apart = (now->cycle != behind->cycle) || (now->newest != behind->newest);
+    const double less = ((off <= other) ? off : other) * (apart ? MOVED / LATER : 1.0);
     *most = (less <= *most) ? *most : less;
     return quiet;
 }

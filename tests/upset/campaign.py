@@ -116,8 +116,7 @@ def members(name: str, records: NDArray[Any]) -> Counter[str]:
     at, other = (np.searchsorted(first, records[bit] // 8, side="right") - 1 for bit in ("bit", "other"))
     pair = records["bit"] != records["other"]
     return Counter(
-        listed[k].member + (f", {listed[j].member}" if both else "")
-        for k, j, both in zip(at, other, pair, strict=True)
+        listed[k].member + (f", {listed[j].member}" if both else "") for k, j, both in zip(at, other, pair, strict=True)
     )
 
 
