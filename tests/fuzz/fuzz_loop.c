@@ -14,17 +14,18 @@
 #define BEFORE 90u /* cycles before a change, */
 #define BEHIND 12u /* and behind it */
 #define CALLS 40u
-#define EVERY 3u /* cycles between two calls of zygos_solve() */
+#define EVERY 3u    /* cycles between two calls of zygos_solve() */
+#define MOMENTS 12u /* successive cycles, so that a copy is in any of its parts */
 
 static zygos_config_t config;
 static zygos_t arm;
-static zygos_t good[2];
+static zygos_t good[2][MOMENTS];
 static union {
     zygos_background_t background;
     zygos_in_place_t in_place;
-} memory, good_memory[2];
+} memory, good_memory[2][MOMENTS];
 static zygos_refine_t refine;
-static zygos_refine_t good_refine[2];
+static zygos_refine_t good_refine[2][MOMENTS];
 static zygos_refine_settings_t settings;
 static zygos_estimate_t estimate;
 static slot_t slot[4 + 2 * ZYGOS_MAX_JOINTS];
@@ -128,11 +129,26 @@ static void spoil_state(void)
     }
 }
 
+/* Counts with which a step addresses memory before it has verified them. */
+static void spoil_counts(void)
+{
+    zygos_arm_t *state = &arm.state;
+    uint32_t *const count[] = {
+        &state->config.joints,         &state->accumulator.width,   &state->accumulator.count,
+        &state->motor_sums.count,      &state->momentum_sums.count, &state->guard.parameters,
+        &state->momentum_sums.columns, &state->joint_sums.width,    &state->joint_sums.target,
+        &state->joint_sums.adding,     &state->accumulator.filling, &state->accumulator.parity
+    };
+    for (uint32_t times = 1u + below(3); times > 0; times--) {
+        *count[below(12)] = (below(2) == 0) ? (uint32_t)draw() : below(300);
+    }
+}
+
 static void change(bool background)
 {
     const size_t counters = offsetof(zygos_t, given) - offsetof(zygos_t, stage);
     for (uint32_t times = 1u + below(3); times > 0; times--) {
-        switch (below(8)) {
+        switch (below(10)) {
         case 0:
             spoil(&arm.stage, counters);
             break;
@@ -155,8 +171,11 @@ static void change(bool background)
         case 6:
             spoil(&memory, background ? sizeof memory.background : sizeof memory.in_place);
             break;
-        default:
+        case 7:
             spoil(&refine, sizeof refine);
+            break;
+        default:
+            spoil_counts();
             break;
         }
     }
@@ -200,18 +219,19 @@ int main(int count, char **argument)
     check(zygos_refine_defaults(&settings, &config) == 1, "no defaults");
     for (uint32_t place = 0; place < 2u; place++) {
         check(begin(place == 0) == 1, "not initialised");
-        for (uint64_t cycle = 0; cycle < BEFORE; cycle++) {
+        for (uint32_t cycle = 0; cycle < BEFORE; cycle++) {
             check(fly(cycle) == 0, "refused without a change");
+            good[place][cycle % MOMENTS] = arm;
+            good_memory[place][cycle % MOMENTS] = memory;
+            good_refine[place][cycle % MOMENTS] = refine;
         }
-        good[place] = arm;
-        good_memory[place] = memory;
-        good_refine[place] = refine;
     }
     for (uint64_t k = 0; k < tries; k++) {
         const uint32_t place = (uint32_t)(k % 2u);
-        arm = good[place];
-        memory = good_memory[place];
-        refine = good_refine[place];
+        const uint32_t moment = below(MOMENTS);
+        arm = good[place][moment];
+        memory = good_memory[place][moment];
+        refine = good_refine[place][moment];
         given_spoilt = false;
         change(place == 0);
         call_all(BEFORE);
