@@ -178,7 +178,7 @@ mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fres
 soak: build $(VENV)/.test ## 30 days of 2 joints, 3.6 hours of 7: estimates, intervals, counters (out/soak.json, docs/soak.md; 10 minutes; NAMES= FULL=1)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m soak $(NAMES) $(if $(FULL),--full)
 
-upset: build $(VENV)/.test ## flip bits in the state of the library, count what comes of it (out/upset.json, docs/upset.md; 25 minutes; SHARE= SEED=)
+upset: build $(VENV)/.test ## flip bits in the memory of the library, count what comes of it (out/upset.json, docs/upset.md; an hour; SHARE= SEED=)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m upset $(if $(SHARE),share=$(SHARE)) $(if $(SEED),seed=$(SEED))
 
 ground: build $(VENV)/.test ## simulated laboratory arms: do the intervals hold (docs/ground.md; 40 minutes; ARMS= DRAWS=)

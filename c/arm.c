@@ -1113,6 +1113,23 @@ static uint32_t scrub_places(zygos_arm_t *self)
     return found;
 }
 
+uint32_t zygos_arm_count_quarantined(zygos_arm_t *self)
+{
+    const uint32_t dropped = self->accumulator.quarantined + self->motor_sums.quarantined +
+                             self->momentum_sums.quarantined + self->joint_sums.quarantined;
+    self->accumulator.quarantined = 0;
+    self->motor_sums.quarantined = 0;
+    self->momentum_sums.quarantined = 0;
+    self->joint_sums.quarantined = 0;
+    self->quarantined += dropped;
+    return dropped;
+}
+
+bool zygos_arm_is_whole(const zygos_arm_t *self)
+{
+    return (self->magic == MAGIC) && is_steady(self) && is_intact(self);
+}
+
 /* The sums of each kind. Returns what was found. */
 static uint32_t scrub_sums(zygos_arm_t *self)
 {
@@ -1134,14 +1151,7 @@ static uint32_t scrub_sums(zygos_arm_t *self)
         zygos_joint_sums_clear(&self->joint_sums);
         found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
     }
-    const uint32_t dropped = self->accumulator.quarantined + self->motor_sums.quarantined +
-                             self->momentum_sums.quarantined + self->joint_sums.quarantined;
-    self->accumulator.quarantined = 0;
-    self->motor_sums.quarantined = 0;
-    self->momentum_sums.quarantined = 0;
-    self->joint_sums.quarantined = 0;
-    self->quarantined += dropped;
-    return found | ((dropped > 0) ? (uint32_t)ZYGOS_SCRUBBED_BLOCKS : 0u);
+    return found | ((zygos_arm_count_quarantined(self) > 0) ? (uint32_t)ZYGOS_SCRUBBED_BLOCKS : 0u);
 }
 
 /* Drops every arc with a cycle behind the last call. */

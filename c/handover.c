@@ -40,9 +40,11 @@ static uint32_t least(uint32_t a, uint32_t b)
 
 /* ---------------------------------------------------------------- energy rows */
 
+/* A width that is not possible is found by the cycle that follows; here it only must not lead out of memory. */
 static uint32_t energy_width(const zygos_accumulator_t *from)
 {
-    return least(from->width, (uint32_t)ZYGOS_MAX_ROW);
+    const uint32_t width = least(from->width, (uint32_t)ZYGOS_MAX_ROW);
+    return (width > 0) ? width : 1u;
 }
 
 static void cut_block(zygos_handover_t *self, const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t place)
@@ -136,6 +138,11 @@ static bool energy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wo
 
 /* ---------------------------------------------------------------- motor rows */
 
+static uint32_t joints_of(const zygos_arm_t *arm)
+{
+    return least(arm->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
+}
+
 static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t *to, uint32_t joints)
 {
     copy(piece(to->joint, from->joint, joints * WORDS(sizeof from->joint[0])));
@@ -147,7 +154,7 @@ static void cut_motors(const zygos_arm_t *arm, zygos_work_t *work)
     const zygos_motor_sums_t *from = &arm->motor_sums;
     zygos_motor_sums_t *to = &work->motor_sums;
     copy(SPAN(to, from, zygos_motor_sums_t, count, open));
-    cut_motor_block(&from->open, &to->open, arm->config.joints);
+    cut_motor_block(&from->open, &to->open, joints_of(arm));
 }
 
 /* The tables with the closing arc, then block by block. */
@@ -155,7 +162,7 @@ static bool motor_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zyg
 {
     const zygos_motor_sums_t *from = &arm->motor_sums;
     zygos_motor_sums_t *to = &work->motor_sums;
-    const uint32_t joints = arm->config.joints;
+    const uint32_t joints = joints_of(arm);
     if (self->unit == 0) {
         copy(SPAN(to, from, zygos_motor_sums_t, column_map, count));
         cut_motor_block(&from->closing, &to->closing, joints);
@@ -343,6 +350,21 @@ static bool suits(const zygos_arm_t *arm, uint32_t kind)
     return (kind != ZYGOS_JOINT_KIND) || suits_joints(&arm->joint_sums);
 }
 
+/* Zero of what is zero. */
+static uint32_t fold_of(const zygos_handover_t *self)
+{
+    uint32_t fold = zygos_folded_count(self->kind, self->cut);
+    fold = zygos_folded_count(zygos_folded_count(fold, self->unit), self->waited);
+    fold = zygos_folded_count(fold, self->tries);
+    uint64_t all = zygos_folded(fold, self->dropped);
+    for (uint32_t at = 0; at < (uint32_t)sizeof self->apart; at += WORD) {
+        uint64_t word;
+        __builtin_memcpy(&word, &self->apart[at], sizeof word);
+        all = zygos_folded(all, word);
+    }
+    return (uint32_t)(zygos_fold_end(all) >> 32u);
+}
+
 void zygos_handover_begin(zygos_handover_t *self)
 {
     memset(self, 0, sizeof *self);
@@ -430,7 +452,8 @@ static void next_kind(zygos_handover_t *self)
     self->tries = 0;
 }
 
-bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+/* Returns whether all is copied. */
+static bool proceed(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     if (self->kind >= ZYGOS_HANDOVER_KINDS) {
         return true;
@@ -459,4 +482,14 @@ bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_w
         next_kind(self);
     }
     return self->kind >= ZYGOS_HANDOVER_KINDS;
+}
+
+bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+{
+    if (self->fold != fold_of(self)) {
+        zygos_handover_begin(self);
+    }
+    const bool done = proceed(self, arm, work);
+    self->fold = fold_of(self);
+    return done;
 }

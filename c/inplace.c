@@ -11,7 +11,7 @@ int zygos_arm_solve_ended(zygos_arm_t *self, zygos_solver_t *solver, zygos_estim
     solver->guard = &self->guard;
     solver->config = &self->config;
     solver->cycle = self->cycle;
-    if (!zygos_solver_matches(solver)) {
+    if (!zygos_arm_is_whole(self) || !zygos_solver_matches(solver)) {
         return zygos_solver_refuse(out);
     }
     zygos_accumulator_apply_fade(solver->accumulator);

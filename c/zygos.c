@@ -1,5 +1,7 @@
 #include "zygos/zygos.h"
 
+#include "zygos/priv/gram.h"
+
 #include <stddef.h>
 #include <string.h>
 
@@ -8,6 +10,10 @@
 #define PATIENCE 512u
 /* Time constants of forgetting after which sums count as forgotten: 5 % are left. */
 #define FADED 3.0
+/* The most cycles that follow a copy without one, whatever memory says of how long that one took. */
+#define LONGEST_PAUSE 16384u
+/* Cycles in which a copy waits for a pass of the patrol, whatever the capacities of the build are. */
+#define VERIFYING 32u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
 
@@ -32,26 +38,80 @@ static uint32_t two_of_words(uint32_t a, uint32_t b, uint32_t c)
     return (a & b) | (a & c) | (b & c);
 }
 
+/* Copies are turned by so many bits for each: the same bit of two of them, which one particle may flip, is not the same
+   bit of what they say. */
+#define TURN 5u
+
+static uintptr_t turned(uintptr_t word, uint32_t by)
+{
+    const uint32_t bits = 8u * (uint32_t)sizeof word;
+    return (word << (by % bits)) | (word >> ((bits - by) % bits));
+}
+
+static uintptr_t turned_back(uintptr_t word, uint32_t by)
+{
+    return turned(word, 8u * (uint32_t)sizeof word - by);
+}
+
+static uint32_t turned_word(uint32_t word, uint32_t by)
+{
+    return (word << (by % 32u)) | (word >> ((32u - by) % 32u));
+}
+
+static uint32_t turned_word_back(uint32_t word, uint32_t by)
+{
+    return turned_word(word, 32u - by);
+}
+
+static uintptr_t two_of_turned(uintptr_t a, uintptr_t b, uintptr_t c)
+{
+    return two_of(a, turned_back(b, TURN), turned_back(c, 2u * TURN));
+}
+
+static uint32_t two_of_turned_words(uint32_t a, uint32_t b, uint32_t c)
+{
+    return two_of_words(a, turned_word_back(b, TURN), turned_word_back(c, 2u * TURN));
+}
+
+static uint32_t nodes_given_to(const zygos_t *self)
+{
+    return two_of_turned_words(self->given[0].nodes, self->given[1].nodes, self->given[2].nodes);
+}
+
 static zygos_given_t given_to(const zygos_t *self)
 {
     const zygos_given_t *a = &self->given[0];
     const zygos_given_t *b = &self->given[1];
     const zygos_given_t *c = &self->given[2];
     zygos_given_t out;
-    out.config = two_of(a->config, b->config, c->config);
-    out.memory = two_of(a->memory, b->memory, c->memory);
-    out.refine = two_of(a->refine, b->refine, c->refine);
-    out.background = two_of_words(a->background, b->background, c->background);
-    out.nodes = two_of_words(a->nodes, b->nodes, c->nodes);
-    out.slices = two_of_words(a->slices, b->slices, c->slices);
+    out.config = two_of_turned(a->config, b->config, c->config);
+    out.memory = two_of_turned(a->memory, b->memory, c->memory);
+    out.refine = two_of_turned(a->refine, b->refine, c->refine);
+    out.background = two_of_turned_words(a->background, b->background, c->background);
+    out.nodes = nodes_given_to(self);
+    out.slices = two_of_turned_words(a->slices, b->slices, c->slices);
+    out.reserved = 0;
+    return out;
+}
+
+static zygos_given_t copy_of(const zygos_given_t *what, uint32_t k)
+{
+    const uint32_t by = TURN * k;
+    zygos_given_t out;
+    out.config = turned(what->config, by);
+    out.memory = turned(what->memory, by);
+    out.refine = turned(what->refine, by);
+    out.background = turned_word(what->background, by);
+    out.nodes = turned_word(what->nodes, by);
+    out.slices = turned_word(what->slices, by);
     out.reserved = 0;
     return out;
 }
 
 static void give(zygos_t *self, const zygos_given_t *what)
 {
-    for (uint32_t i = 0; i < 3u; i++) { /* two of them are right at any time */
-        self->given[i] = *what;
+    for (uint32_t k = 0; k < 3u; k++) { /* two of them are right at any time */
+        self->given[k] = copy_of(what, k);
     }
 }
 
@@ -76,6 +136,24 @@ static zygos_estimate_t *estimate_of(const zygos_given_t *given)
     return (background != NULL) ? &background->estimate : &in_place_of(given)->estimate;
 }
 
+/* What zygos_solve() has left must still be that when zygos_step() adopts it. */
+static uint64_t *seal_of(const zygos_given_t *given)
+{
+    zygos_background_t *background = background_of(given);
+    return (background != NULL) ? &background->seal : &in_place_of(given)->seal;
+}
+
+/* Of the covariance, which is long, only where it is used: where sums are dropped with the estimate. */
+static uint64_t checksum_of(const zygos_given_t *given, const zygos_estimate_t *estimate)
+{
+    const uint32_t most = (uint32_t)ZYGOS_MAX_PARAMETERS;
+    const uint32_t p = (estimate->parameters < most) ? estimate->parameters : most;
+    const bool all = (given->background == 0) || (estimate->since > 0);
+    const uint32_t head = (uint32_t)offsetof(zygos_estimate_t, covariance);
+    const uint64_t sum = zygos_checksum_memory(0, estimate, head);
+    return zygos_checksum_doubles(sum, estimate->covariance, all ? zygos_gram_entries(p) : 0u);
+}
+
 static zygos_refine_t *refine_of(const zygos_given_t *given)
 {
     return (zygos_refine_t *)given->refine;
@@ -94,14 +172,24 @@ static bool is_begun(const zygos_t *self)
     return (off & (off - 1u)) == 0;
 }
 
+/* Who owns the copy must not depend on one bit: what is stored has each bit three times, and other bits do not count.
+ */
 static uint32_t stage_of(const zygos_t *self)
 {
-    return __atomic_load_n(&self->stage, __ATOMIC_ACQUIRE);
+    const uint32_t stage = __atomic_load_n(&self->stage, __ATOMIC_ACQUIRE);
+    return (uint32_t)ZYGOS_STAGE_ASKED * (two_of_words(stage, stage >> 2u, stage >> 4u) & 3u);
 }
 
 static void move_to(zygos_t *self, enum zygos_stage stage)
 {
     __atomic_store_n(&self->stage, (uint32_t)stage, __ATOMIC_RELEASE);
+}
+
+/* A flag that decides who owns memory, stored like that. */
+#define SET 7u
+static bool is_set(uint32_t flag)
+{
+    return (two_of_words(flag, flag >> 1u, flag >> 2u) & 1u) != 0;
 }
 
 /* That the sums were given up, which the background looks at. */
@@ -127,6 +215,13 @@ static uint32_t nodes_of(const zygos_config_t *config)
     return nodes | ((config->imu_node != 0) ? 1u << (config->imu_node & 31u) : 0u);
 }
 
+/* Nothing is refined. */
+static void publish_nothing(zygos_t *self, enum zygos_refine_reason reason)
+{
+    memset(&self->refined, 0, sizeof self->refined);
+    self->refined.reason = (uint32_t)reason;
+}
+
 /* All but the state. */
 static int begin(zygos_t *self, const zygos_config_t *config, void *memory, uint32_t bytes)
 {
@@ -150,7 +245,7 @@ static int begin(zygos_t *self, const zygos_config_t *config, void *memory, uint
         .nodes = nodes_of(config),
     };
     give(self, &given);
-    self->refined.reason = (uint32_t)ZYGOS_REFINE_WAITS;
+    publish_nothing(self, ZYGOS_REFINE_WAITS);
     return 1;
 }
 
@@ -176,7 +271,7 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    const uint32_t nodes = two_of_words(self->given[0].nodes, self->given[1].nodes, self->given[2].nodes);
+    const uint32_t nodes = nodes_given_to(self);
     const uint32_t node = frame->id & 0x7Fu;
     const bool own = (frame->flags != 0) || (frame->id == ZYGOS_ID_SYNC) || (node == ZYGOS_NODE_COMPUTER) ||
                      ((node < 32u) && (((nodes >> node) & 1u) != 0));
@@ -200,6 +295,7 @@ static void copy_anew(zygos_t *self)
 {
     zygos_handover_begin(&self->handover);
     self->state.held = 0;
+    self->verifying = 0;
 }
 
 /* Repairs the state; where that is beyond repair, the estimation begins anew. Returns 0 when nothing was found, 1 when
@@ -261,12 +357,12 @@ static bool is_comparing(const zygos_arm_t *arm)
            (arm->ending != 0);
 }
 
-/* Judges what is refined by a new estimate. */
+/* Judges what is refined by a new estimate. What cannot be judged is not published any more. */
 static void judge(zygos_t *self, const zygos_given_t *given)
 {
     const zygos_refine_t *refine = refine_of(given);
-    if (refine != NULL) {
-        (void)zygos_refine_judge(refine, config_of(given), estimate_of(given), &self->refined);
+    if ((refine != NULL) && (zygos_refine_judge(refine, config_of(given), estimate_of(given), &self->refined) < 0)) {
+        publish_nothing(self, ZYGOS_REFINE_CORRUPT);
     }
 }
 
@@ -275,10 +371,11 @@ static void refine_anew(zygos_t *self, const zygos_given_t *given)
 {
     zygos_refine_t *refine = refine_of(given);
     if (refine != NULL) {
-        const zygos_refine_settings_t settings = refine->settings;
-        (void)zygos_refine_init(refine, config_of(given), &settings);
-        self->refined.published = 0;
-        self->refined.reason = (uint32_t)ZYGOS_REFINE_WAITS;
+        if (zygos_refine_scrub(refine, config_of(given)) >= 0) { /* else the settings are not to be trusted */
+            const zygos_refine_settings_t settings = refine->settings;
+            (void)zygos_refine_init(refine, config_of(given), &settings);
+        }
+        publish_nothing(self, ZYGOS_REFINE_WAITS);
     }
     self->refines_anew = 0;
 }
@@ -289,14 +386,16 @@ static void adopt(zygos_t *self, const zygos_given_t *given)
     zygos_background_t *background = background_of(given);
     const zygos_estimate_t *estimate = estimate_of(given);
     zygos_arm_t *arm = &self->state;
-    const bool current = (((background != NULL) ? background->of : in_place_of(given)->of) == self->restarts);
     if ((background != NULL) && is_comparing(arm) && (self->waited < PATIENCE)) {
         self->waited++;
         return;
     }
     self->waited = 0;
+    const bool whole = (*seal_of(given) == checksum_of(given, estimate));
+    const bool current = whole && (((background != NULL) ? background->of : in_place_of(given)->of) == self->restarts);
+    self->repairs += whole ? 0u : 1u; /* an estimate that was changed since is not used */
     uint32_t *corrupt = (background != NULL) ? &background->corrupt : &in_place_of(given)->corrupt;
-    *corrupt = (estimate->reason == (uint32_t)ZYGOS_REASON_CORRUPT) ? *corrupt + 1u : 0u;
+    *corrupt = (whole && (estimate->reason == (uint32_t)ZYGOS_REASON_CORRUPT)) ? *corrupt + 1u : 0u;
     if (*corrupt > 0) {
         if ((mend(self, given) == 0) && (*corrupt >= CORRUPT)) {
             (void)zygos_arm_restart(arm, (uint32_t)ZYGOS_KEEP_FAULTS);
@@ -336,6 +435,34 @@ static void date(const zygos_t *self, zygos_estimate_t *out)
     out->restored = (self->state.restored > 0) ? 1u : 0u;
 }
 
+static int patrol(zygos_t *self, const zygos_given_t *given)
+{
+    return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
+}
+
+/* Whether the tables were verified since the sums were copied, which they may have spoiled otherwise. Does a part of
+   that. */
+static bool is_verified(zygos_t *self, const zygos_given_t *given, uint64_t copied)
+{
+    if (copied > self->state.cycle) { /* memory errors: it would be waited for in vain */
+        copy_anew(self);
+        return false;
+    }
+    if ((self->verifying == 0) || (self->verifying > VERIFYING)) {
+        self->verifying = VERIFYING;
+        memset(&self->patrol, 0, sizeof self->patrol);
+    }
+    const uint32_t pass = zygos_patrol_cycles(&self->state);
+    const uint32_t parts = (self->verifying == 1u) ? pass : pass / VERIFYING + 1u;
+    for (uint32_t part = 0; (part < parts) && (self->state.scrubbed < copied); part++) {
+        if (patrol(self, given) != 0) {
+            return false; /* the copy begins anew */
+        }
+    }
+    self->verifying--;
+    return self->verifying == 0;
+}
+
 static void hand_over(zygos_t *self, const zygos_given_t *given)
 {
     zygos_background_t *background = background_of(given);
@@ -344,14 +471,14 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
             return;
         }
         self->copied = 1;
-        if (zygos_arm_end_arcs(&self->state) < 0) {
-            (void)mend(self, given);
-            return;
+        if ((mend(self, given) < 0) || (zygos_arm_end_arcs(&self->state) < 0)) {
+            return; /* the next cycle says so */
         }
         in_place_of(given)->of = self->restarts;
     } else {
         if ((self->handover.kind == 0) && (self->handover.cut == 0) && (self->handover.waited == 0)) {
-            if (self->rested < self->copied) { /* the tasks that have waited proceed */
+            if ((self->rested < self->copied) &&
+                (self->rested < LONGEST_PAUSE)) { /* the tasks that have waited proceed */
                 return;
             }
             self->copied = 0;
@@ -360,15 +487,16 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         const bool done = zygos_handover_part(&self->handover, &self->state, &background->work);
         self->state.held = zygos_handover_held(&self->handover);
         self->state.beside = 1;
-        if (!done) {
+        if (!done || !is_verified(self, given, background->work.cycle)) {
             return;
         }
         background->of = self->restarts;
         zygos_handover_begin(&self->handover);
     }
+    (void)zygos_arm_count_quarantined(&self->state); /* the estimate lacks them */
     self->rested = 0;
     date(self, estimate_of(given));
-    self->refining = may_refine(self, refine_of(given)) ? 1u : 0u;
+    self->refining = may_refine(self, refine_of(given)) ? SET : 0u;
     move_to(self, ZYGOS_STAGE_GIVEN);
 }
 
@@ -378,7 +506,8 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
     const uint32_t stage = stage_of(self);
     self->rested++;
     self->state.beside = 0;
-    if ((self->refines_anew != 0) && ((stage != (uint32_t)ZYGOS_STAGE_GIVEN) || (self->refining == 0))) {
+    self->state.held = (stage == (uint32_t)ZYGOS_STAGE_ASKED) ? self->state.held : 0u; /* only a copy holds tasks */
+    if (is_set(self->refines_anew) && ((stage != (uint32_t)ZYGOS_STAGE_GIVEN) || !is_set(self->refining))) {
         refine_anew(self, given);
     }
     if (stage == (uint32_t)ZYGOS_STAGE_GIVEN) {
@@ -389,8 +518,6 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
     } else if (stage == (uint32_t)ZYGOS_STAGE_ASKED) {
         hand_over(self, given);
         return (given->background != 0) || (stage_of(self) != (uint32_t)ZYGOS_STAGE_GIVEN);
-    } else if (stage != (uint32_t)ZYGOS_STAGE_IDLE) {
-        move_to(self, ZYGOS_STAGE_IDLE); /* a stage that does not exist */
     }
     return true;
 }
@@ -403,7 +530,7 @@ static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_
         return;
     }
     int done = (cycle != NULL) ? zygos_refine_cycle(task, cycle) : 1;
-    if (self->refining != 0) {
+    if (is_set(self->refining)) {
         return; /* the background begins it */
     }
     const uint32_t most = (given->slices > 0) ? given->slices : UINT32_MAX;
@@ -418,18 +545,14 @@ static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_
     }
 }
 
-static int patrol(zygos_t *self, const zygos_given_t *given)
-{
-    return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
-}
-
 /* Repairs what a flipped bit has changed of what was given, and returns it. */
 static zygos_given_t prepare(zygos_t *self)
 {
     const zygos_given_t given = given_to(self);
-    for (uint32_t i = 0; i < 3u; i++) { /* the others read this at any time: nothing is written where nothing flipped */
-        if (!is_same(&self->given[i], &given)) {
-            self->given[i] = given;
+    for (uint32_t k = 0; k < 3u; k++) { /* the others read this at any time: nothing is written where nothing flipped */
+        const zygos_given_t right = copy_of(&given, k);
+        if (!is_same(&self->given[k], &right)) {
+            self->given[k] = right;
         }
     }
     if (self->magic != ZYGOS_BEGUN) {
@@ -496,6 +619,30 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     return stepped;
 }
 
+int zygos_attach(zygos_t *self, zygos_refine_t *refine, uint32_t slices)
+{
+    if ((self == NULL) || (refine == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (!is_begun(self)) {
+        return ZYGOS_E_ORDER;
+    }
+    zygos_given_t given = given_to(self);
+    given.refine = (uintptr_t)refine;
+    given.slices = slices;
+    give(self, &given);
+    return 1;
+}
+
+const zygos_config_t *zygos_reference(const zygos_t *self)
+{
+    if ((self == NULL) || !is_begun(self)) {
+        return NULL;
+    }
+    const zygos_given_t given = given_to(self);
+    return config_of(&given);
+}
+
 int zygos_restart(zygos_t *self, uint32_t keep)
 {
     if (self == NULL) {
@@ -508,19 +655,18 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     if ((given.background == 0) && (stage_of(self) == (uint32_t)ZYGOS_STAGE_GIVEN)) {
         return 0;
     }
+    if (mend(self, &given) == ZYGOS_E_CONFIG) { /* all is made anew from the configuration in memory */
+        return ZYGOS_E_CONFIG;
+    }
     (void)decode(self, true);
     const int verdict = zygos_arm_restart(&self->state, keep);
-    if (verdict == ZYGOS_E_KEEP) {
-        return verdict;
-    }
     if (verdict < 0) {
-        (void)zygos_arm_init(&self->state, config_of(&given)); /* the configuration in memory was changed */
-        self->losses++;
+        return verdict;
     }
     self->state.restored = 0;
     self->state.guard.adopting = 1;
     copy_anew(self);
-    self->refines_anew = 1;
+    self->refines_anew = SET;
     give_up(self);
     return 1;
 }
@@ -678,11 +824,12 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     }
     estimate->unused = unused;
     estimate->restored = restored;
-    if ((self->refining != 0) && (estimate->validity == (uint32_t)ZYGOS_VALID)) {
+    if (is_set(self->refining) && (estimate->validity == (uint32_t)ZYGOS_VALID)) {
         (void)zygos_refine_start(refine_of(&given), config, estimate, NULL);
     }
     age(estimate, config);
     *out = *estimate;
+    *seal_of(&given) = checksum_of(&given, estimate);
     const bool current = (of == __atomic_load_n(&self->restarts, __ATOMIC_ACQUIRE));
     move_to(self, ZYGOS_STAGE_SOLVED);
     return current ? 1 : 0;

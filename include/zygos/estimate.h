@@ -41,12 +41,13 @@ enum zygos_reason {
 /// the energy rows.
 enum zygos_rows { ZYGOS_ENERGY_ROWS = 0, ZYGOS_MOTOR_ROWS = 1, ZYGOS_MOMENTUM_ROWS = 2, ZYGOS_KINDS_OF_ROWS = 3 };
 
-/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on.
+/// Where a solution is (zygos_t.stage). The background moves it from idle to asked and from given to solved, the task
+/// moves it on. Each bit is there three times, two places apart, and is what two of them say.
 enum zygos_stage {
     ZYGOS_STAGE_IDLE = 0,
-    ZYGOS_STAGE_ASKED = 1, ///< The task copies the sums.
-    ZYGOS_STAGE_GIVEN = 2, ///< The copy belongs to the background.
-    ZYGOS_STAGE_SOLVED = 3 ///< The estimate waits to be adopted.
+    ZYGOS_STAGE_ASKED = 21, ///< The task copies the sums.
+    ZYGOS_STAGE_GIVEN = 42, ///< The copy belongs to the background.
+    ZYGOS_STAGE_SOLVED = 63 ///< The estimate waits to be adopted.
 };
 
 /// An estimate of all parameters.

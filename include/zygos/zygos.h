@@ -72,6 +72,7 @@ typedef struct {
     zygos_work_t work;
     zygos_estimate_t estimate;              ///< The newest; after a comparison that without the newest arc,
     double deviation[ZYGOS_MAX_PARAMETERS]; ///< and these are the deviations of the newest arc from it.
+    uint64_t seal;                          ///< Of the estimate, until it is adopted.
     uint32_t of;                            ///< zygos_t.restarts when the copy was made.
     uint32_t compares;                      ///< 1: this copy is for a comparison, and not for an estimate.
     uint32_t changed;                       ///< 1: a comparison has found another arm,
@@ -86,12 +87,13 @@ typedef struct {
 typedef struct {
     zygos_solver_t solver;
     zygos_estimate_t estimate;
+    uint64_t seal; ///< As in zygos_background_t, also below.
     uint32_t of;
     uint32_t corrupt;
 } zygos_in_place_t;
 
-/// What zygos_init() was given, and follows from the configuration for the interrupt. It is kept three times, and a bit
-/// is what two of them say.
+/// What zygos_init() was given, and follows from the configuration for the interrupt. It is kept three times, the
+/// second and the third time turned by 5 and 10 bits, and a bit is what two of them say.
 typedef struct {
     uintptr_t config;
     uintptr_t memory;
@@ -118,11 +120,11 @@ typedef struct {
     uint64_t rested;          ///< Cycles since the sums were copied last.
     uint64_t copied;          ///< Cycles that this took.
     uint32_t waited;          ///< Cycles for which an estimate has waited to be adopted.
-    uint32_t refining;        ///< 1: the background has the memory of the refinement.
-    uint32_t refines_anew;    ///< 1: what is refined is another arm's.
+    uint32_t refining;        ///< Two of the lowest three bits: the background has the memory of the refinement.
+    uint32_t refines_anew;    ///< The same: what is refined is another arm's.
     uint32_t quiet;           ///< Calls in a row without a cycle.
     uint32_t restarts;        ///< Times that the sums were given up: zygos_restart(), and memory beyond repair.
-    uint32_t reserved;
+    uint32_t verifying;       ///< Cycles until the tables that the copied sums rest on are verified; 0: no copy waits.
     zygos_given_t given[3];
     zygos_handover_t handover;
     zygos_patrol_t patrol;
@@ -176,11 +178,18 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out);
 /// that of zygos_refine_init().
 int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_settings_t *settings, uint32_t slices);
 
+/// What zygos_refine() does with *self: *refine has been initialised. Returns the same.
+int zygos_attach(zygos_t *self, zygos_refine_t *refine, uint32_t slices);
+
+/// Returns the configuration that zygos_init() was given, or null when it has not succeeded on *self.
+const zygos_config_t *zygos_reference(const zygos_t *self);
+
 /// Restarts the estimate with the same configuration, because the payload changed. Frames that have been received are
 /// of the arm before: cycles that they complete are not used. keep: bits of enum zygos_keep. Call it in the task.
-/// Returns 1; ZYGOS_E_NULL, ZYGOS_E_ORDER, or ZYGOS_E_KEEP for an unknown bit, or where there are no motor rows to
-/// keep. An estimate of the sums before is not returned by zygos_solve() any more. Cost: the coefficients of the
-/// smoother, and one memset of the sums.
+/// Memory that was changed is repaired first. Returns 1; 0 while a solution in place is under way; ZYGOS_E_NULL;
+/// ZYGOS_E_ORDER; ZYGOS_E_CONFIG as zygos_step(); or ZYGOS_E_KEEP for an unknown bit, or where there are no motor rows
+/// to keep. An estimate of the sums before is not returned by zygos_solve() any more. Cost: one pass over the sums, the
+/// coefficients of the smoother, and one memset of the sums.
 int zygos_restart(zygos_t *self, uint32_t keep);
 
 /// Verifies and repairs the state, and writes the head of its snapshot: store head and then self->state. Call it in the

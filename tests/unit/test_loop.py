@@ -119,7 +119,9 @@ def test_the_loop_learns_what_one_solution_of_all_does() -> None:
     assert last.validity == lib.ZYGOS_VALID
     assert loop.state.guard.known == 1
     value, sigma = (np.array(list(getattr(last, name)))[: len(once.value)] for name in ("value", "sigma"))
-    assert np.all(np.abs(value - once.value) < sigma)
+    true = load_model(EXAMPLE / "model.toml").base_values(arm)
+    assert np.all(np.abs(value - true) < 3.0 * sigma)
+    assert np.all(np.abs(value - once.value) < 2.0 * sigma)
     assert sigma == pytest.approx(once.sigma, rel=0.5), "blocks that end elsewhere scatter otherwise"
     kept = loop.state.accumulator.accepted / max(flight.native.accumulator.accepted, 1)
     assert kept > 0.98, "arcs that waited for the copies have cost few rows"
@@ -398,8 +400,9 @@ def test_places_of_the_ring_and_stages_that_cannot_be_do_no_harm(begun: tuple[Lo
         loop.native.stage ^= 1 << 17
         assert loop.step() == 0
         assert loop.native.head == loop.native.tail
-        loop.cycle(array + k)
-        assert loop.native.stage == IDLE
+        assert loop.solve() == 0, "one bit is not another stage: a copy is asked for"
+        assert loop.native.stage == ASKED
+        loop.native.stage = IDLE
     loop.native.magic ^= 8
     assert loop.cycle(array + k) == 1
     assert loop.native.magic == 0x5A59474F

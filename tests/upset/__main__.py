@@ -1,4 +1,4 @@
-"""Flips bits in the state of the flight library and writes what came of it into docs/upset.md (`make upset`).
+"""Flips bits in the memory of the flight library and writes what came of it into docs/upset.md (`make upset`).
 
     python -m upset [share=SHARE] [seed=SEED]
 
@@ -21,7 +21,9 @@ from zygos.report.provenance import measured_commit
 
 DOCUMENT = ROOT / "docs" / "upset.md"
 BEGIN, END = "<!-- make upset writes this -->\n", "<!-- to here -->"
-TRIALS = {"planar": 96_000, "in_place": 48_000, "spatial": 4_000}
+TRIALS = {
+    "planar": 80_000, "in_place": 40_000, "refined": 8_000, "fading": 32_000, "pairs": 36_000, "spatial": 4_000,
+}  # fmt: skip
 LIMIT = 1e-4
 """Most silent trials, as a share of all."""
 
@@ -50,7 +52,11 @@ def table(results: dict[str, dict[str, Any]]) -> str:
     share = f"{silent} were silent: a share of {silent / trials:.1e}." if silent else "none was silent."
     lines += ["", f"Of {trials:,} trials, {share} Measured with commit {measured_commit()}.", ""]
     hits = [one for result in results.values() for one in result["members"].values() if one]
-    lines += ["| arm | member of `zygos_arm_t` | silent | crash or hang |", "| --- | --- | --- | --- |"] if hits else []
+    lines += (
+        ["| arm | member of `zygos_t`, or of the memory given | silent | crash or hang |", "| --- | --- | --- | --- |"]
+        if hits
+        else []
+    )
     for name, result in results.items():
         hit = result["members"]
         known = sorted({member for one in hit.values() for member in one}, key=lambda m: (-hit["silent"].get(m, 0), m))

@@ -1,4 +1,4 @@
-"""Flies the campaign of campaign.c and says which members of the state the silent trials hit."""
+"""Flies the campaign of campaign.c and says which members of the library's memory the silent trials hit."""
 
 from __future__ import annotations
 
@@ -22,9 +22,11 @@ from zygos.simulation.scenario import load_scenario
 FOLDER = Path("out/upset")
 OUTCOMES = ("unfinished", "no effect", "detected", "silent", "crash", "hang")
 """As `enum outcome` of campaign.c counts."""
-RECORD = np.dtype([("bit", "<u8"), ("cycle", "<u4"), ("outcome", "<u4"), ("moved", "<f8")])
+RECORD = np.dtype([("bit", "<u8"), ("other", "<u8"), ("cycle", "<u4"), ("outcome", "<u4"), ("moved", "<f8")])
+IN_PLACE, REFINED, PAIRS = 1, 2, 4
+"""What campaign.c calls KIND is a sum of these."""
 SANITIZED = ["-fsanitize=bounds,integer-divide-by-zero", "-fsanitize-undefined-trap-on-error"]
-"""A wrong index of an array is a crash even where it stays inside the state."""
+"""A wrong index of an array is a crash even where it stays inside the memory of the library."""
 ARC_CYCLES = 300
 """Of the energy rows, so that arcs end before and behind each flip."""
 
@@ -39,17 +41,25 @@ class Campaign:
     duration_s: float
     first: int
     """First cycle in which bits flip; by then an estimate is adopted."""
-    in_place: bool = False
-    """Whether estimates are made without a copy of the sums, `zygos_arm_solve()`."""
+    kind: int = 0
+    memory_s: float | None = None
+    """Where sums of closed arcs fade."""
+
+    @property
+    def structs(self) -> list[str]:
+        """The memory in which bits flip, in this order."""
+        memory = "zygos_in_place_t" if self.kind & IN_PLACE else "zygos_background_t"
+        return ["zygos_t", memory, *(["zygos_refine_t"] if self.kind & REFINED else [])]
 
 
 PLANAR = ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0", "-DZYGOS_MOMENTUM=0")
-FEWEST = ("-DZYGOS_MAX_BLOCKS=11", "-DZYGOS_MAX_MOTOR_BLOCKS=4")
+FEWEST = (*PLANAR, "-DZYGOS_MAX_BLOCKS=11", "-DZYGOS_MAX_MOTOR_BLOCKS=4")
 CAMPAIGNS = {
     "planar": Campaign("2 joints in a plane", "paper", PLANAR, 120.0, 1500),
-    "in_place": Campaign(
-        "2 joints in a plane, 11 blocks, solved in place", "paper", (*PLANAR, *FEWEST), 120.0, 1500, in_place=True
-    ),
+    "in_place": Campaign("2 joints in a plane, 11 blocks, in place", "paper", FEWEST, 120.0, 1500, IN_PLACE),
+    "refined": Campaign("2 joints in a plane, refined", "paper", PLANAR, 120.0, 1500, REFINED),
+    "fading": Campaign("2 joints in a plane, fading", "paper", PLANAR, 120.0, 1500, memory_s=30.0),
+    "pairs": Campaign("2 joints in a plane, pairs of bits", "paper", PLANAR, 120.0, 1500, PAIRS),
     "spatial": Campaign("3 joints in space", "spatial", ("-DZYGOS_MAX_JOINTS=3",), 30.0, 12000),
 }
 
@@ -58,7 +68,7 @@ def write(one: Campaign, folder: Path) -> int:
     """Simulate the motion and write what the program reads. Returns the number of cycles."""
     place = ROOT / "examples" / one.example
     arm, model = load_arm(place / "arm.toml"), load_model(place / "model.toml")
-    arm = replace(arm, arc_max_s=ARC_CYCLES * arm.period_s)
+    arm = replace(arm, arc_max_s=ARC_CYCLES * arm.period_s, memory_s=one.memory_s)
     cycles = trajectory_of(arm, model, load_scenario(place / "scenario.toml"), duration_s=one.duration_s).cycles()
     write_run(Configuration(one.example, arm, one.capacities), cycles, folder / "run.bin")
     return len(cycles)
@@ -69,8 +79,7 @@ def build(one: Campaign, folder: Path) -> Path:
     program = folder / "campaign"
     sources = [*sorted((ROOT / "c").glob("*.c")), ROOT / "tests" / "upset" / "campaign.c"]
     flags = [flag for flag in house_flags() if flag != "-std=c11"]
-    chosen = [*one.capacities, *(["-DCAMPAIGN_IN_PLACE"] if one.in_place else [])]
-    command = ["gcc", "-std=gnu11", *flags, "-g", *SANITIZED, *chosen, f"-I{ROOT / 'include'}"]
+    command = ["gcc", "-std=gnu11", *flags, "-g", *SANITIZED, *one.capacities, f"-I{ROOT / 'include'}"]
     subprocess.run([*command, *map(str, sources), "-o", str(program)], check=True)
     return program
 
@@ -82,23 +91,33 @@ def fly(name: str, trials: int, seed: int = 0, folder: Path = FOLDER) -> NDArray
     cycles = write(one, place)
     program = build(one, place)
     last = cycles - 2 * ARC_CYCLES
-    command = ["nice", "-n", "15", program, place / "run.bin", one.first, last, trials, seed, place / "records.bin"]
+    places = [place / "run.bin", one.first, last, trials, seed, one.kind, place / "records.bin"]
+    command = ["nice", "-n", "15", program, *places]
     subprocess.run([str(part) for part in command], check=True, stderr=(place / "said.txt").open("w"))
     return np.fromfile(place / "records.bin", dtype=RECORD)
 
 
 def leaves_of(name: str) -> list[Leaf]:
-    """The numbers of the state in the build of a campaign."""
-    with build_of(CAMPAIGNS[name].capacities) as binding:
-        return list(leaves(binding.typeof("zygos_arm_t"), sizeof=binding.sizeof))
+    """The numbers of the memory in the build of a campaign, in the order of their places."""
+    one, out, first = CAMPAIGNS[name], [], 0
+    with build_of(one.capacities) as binding:
+        for struct in one.structs:
+            kind = binding.typeof(struct)
+            prefix = "" if struct == "zygos_t" else struct.split("_")[1]
+            out += leaves(kind, prefix, first, binding.sizeof)
+            first += binding.sizeof(kind)
+    return out
 
 
 def members(name: str, records: NDArray[Any]) -> Counter[str]:
-    """How often the records hit each member."""
+    """How often the records hit each member; of a pair both together."""
     listed = leaves_of(name)
     first = np.array([leaf.offset for leaf in listed])
-    at = np.searchsorted(first, records["bit"] // 8, side="right") - 1
-    return Counter(listed[k].member for k in at)
+    at, other = (np.searchsorted(first, records[bit] // 8, side="right") - 1 for bit in ("bit", "other"))
+    pair = records["bit"] != records["other"]
+    return Counter(
+        listed[k].member + (f", {listed[j].member}" if both else "") for k, j, both in zip(at, other, pair, strict=True)
+    )
 
 
 def sizes(name: str) -> Counter[str]:

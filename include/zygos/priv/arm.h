@@ -91,7 +91,7 @@ typedef struct {
 /// Digest of the offsets and types in the structs that library and caller exchange, at the default capacities on a
 /// processor of 64 bits. It changes when a field is moved or given another type, and not when it is renamed. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0x883E2014u
+#define ZYGOS_LAYOUT 0x2F8A2E76u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -171,7 +171,8 @@ void zygos_arm_take(const zygos_arm_t *self, zygos_work_t *work);
 /// that is negative. Cost: that of zygos_arm_end_arcs() and of zygos_work_solve().
 int zygos_arm_solve(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t *out);
 
-/// The same behind zygos_arm_end_arcs(). The pointers are not checked.
+/// The same behind zygos_arm_end_arcs(). The pointers are not checked. Where memory was changed since, the estimate is
+/// refused (ZYGOS_REASON_CORRUPT).
 int zygos_arm_solve_ended(zygos_arm_t *self, zygos_solver_t *solver, zygos_estimate_t *out);
 
 /// Adopts a valid estimate of this arm as the running solution, with which each arc is compared when it ends (guard.h):
@@ -221,6 +222,14 @@ enum zygos_scrubbed {
 /// rows, which last for a window or an increment, and counters of faults. Cost: one pass over *self for checksums and
 /// row sums, less than zygos_arm_check(); where something has to be repaired, also that of zygos_arm_restart().
 int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config);
+
+/// Adds the arcs and blocks that tasks have dropped to quarantined, as zygos_arm_scrub() does. Returns how many there
+/// were.
+uint32_t zygos_arm_count_quarantined(zygos_arm_t *self);
+
+/// Returns whether every count, place and length is possible, and what the newest call has left: whoever goes through
+/// the sums then stays within them. Cost: zygos_arm_end_arcs() does the same.
+bool zygos_arm_is_whole(const zygos_arm_t *self);
 
 /// Restarts the estimate with the same configuration, for example because the payload changed or the sums are corrupt.
 /// Reception continues; cycles that wait in the queue are discarded. Everything that follows from the configuration is

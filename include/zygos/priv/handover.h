@@ -30,6 +30,7 @@ typedef struct {
     uint32_t waited;  ///< Cycles for which the cut has waited.
     uint32_t tries;   ///< How often this kind has begun again.
     uint32_t dropped; ///< zygos_arm_t.dropped at the cut.
+    uint32_t fold;    ///< Of all of these: a copy that memory errors have led elsewhere would lack sums.
     uint8_t apart[ZYGOS_ORDER_PLACES]; ///< 1: the cut has copied this block of energy rows.
 } zygos_handover_t;
 
@@ -44,8 +45,9 @@ void zygos_handover_begin(zygos_handover_t *self);
 /// Returns the bits of zygos_arm_t.held: the kind of rows whose tasks wait.
 uint32_t zygos_handover_held(const zygos_handover_t *self);
 
-/// Copies the next part. Call it before a cycle is processed. Needs a state that was initialised. Returns whether all
-/// is copied; work->config is the caller's to copy. Cost: a cut, or the copy of a block.
+/// Copies the next part. Call it before a cycle is processed. Needs a state that was initialised. Where memory has
+/// changed *self, the copy begins anew. Returns whether all is copied; work->config is the caller's to copy. Cost: a
+/// cut, or the copy of a block.
 bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work);
 
 #ifdef __cplusplus
