@@ -101,12 +101,13 @@ typedef struct {
     uint32_t reserved;
 } zygos_given_t;
 
-/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on.
+/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on. Two
+/// of the values differ in two bits, so that a flipped bit makes none of them.
 enum zygos_stage {
     ZYGOS_STAGE_IDLE = 0,
-    ZYGOS_STAGE_ASKED = 1, ///< The task copies the sums.
-    ZYGOS_STAGE_GIVEN = 2, ///< The copy belongs to the background.
-    ZYGOS_STAGE_SOLVED = 3 ///< The estimate waits to be adopted.
+    ZYGOS_STAGE_ASKED = 3, ///< The task copies the sums.
+    ZYGOS_STAGE_GIVEN = 5, ///< The copy belongs to the background.
+    ZYGOS_STAGE_SOLVED = 6 ///< The estimate waits to be adopted.
 };
 
 /// One arm. The program may read the counters, and in its task state and refined; only the calls below change them.
@@ -162,7 +163,7 @@ int zygos_step(zygos_t *self);
 /// The same for a cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. A cycle
 /// that is flagged ZYGOS_CYCLE_INVALID, or has a value that is not finite, an angle beyond +-1e4 rad or another value
 /// beyond +-1e6, is counted and dropped, and the arc ends. Returns 1 when the cycle was used, 0 when it was dropped or
-/// a solution in place is under way, ZYGOS_E_NULL or ZYGOS_E_ORDER.
+/// a solution in place is under way, ZYGOS_E_NULL, ZYGOS_E_ORDER, or ZYGOS_E_CONFIG as zygos_step().
 int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
 
 /// Asks zygos_step() for a copy of the sums, and solves it once it is there. Call it in the background as often as an
@@ -175,15 +176,15 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out);
 
 /// Attaches a refinement to an arm (refine.h): it begins with the next valid estimate, and again after a failure, and
 /// *refined is judged with every estimate. slices: how many slices of its work are done in each cycle; 0: all that
-/// there are. Returns 1, or an enum zygos_error as zygos_refine_init(). Call it after zygos_init(), in the task. Cost:
-/// that of zygos_refine_init().
+/// there are. Returns 1, or an enum zygos_error as zygos_refine_init(). Call it after zygos_init() or zygos_resume(),
+/// before the interrupt is enabled and the background runs. Cost: that of zygos_refine_init().
 int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_settings_t *settings, uint32_t slices);
 
 /// Restarts the estimate with the same configuration, because the payload changed. Frames that have been received are
 /// of the arm before: cycles that they complete are not used. keep: bits of enum zygos_keep. Call it in the task.
-/// Returns 1; ZYGOS_E_NULL, ZYGOS_E_ORDER, or ZYGOS_E_KEEP for an unknown bit, or where there are no motor rows to
-/// keep. An estimate of the sums before is not returned by zygos_solve() any more. Cost: the coefficients of the
-/// smoother, and one memset of the sums.
+/// Returns 1; 0, with nothing changed, while a solution in place is under way; ZYGOS_E_NULL; ZYGOS_E_ORDER; or
+/// ZYGOS_E_KEEP for an unknown bit, or where there are no motor rows to keep. An estimate of the sums before is not
+/// returned by zygos_solve() any more. Cost: the coefficients of the smoother, and one memset of the sums.
 int zygos_restart(zygos_t *self, uint32_t keep);
 
 /// Verifies and repairs the state, and writes the head of its snapshot: store head and then self->state. Call it in the
