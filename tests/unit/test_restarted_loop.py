@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from conftest import ROOT
 from loop_support import Loop, native_cycles
 from runs_support import trajectory_of
 
+from conftest import ROOT
 from zygos.arm import load_arm
 from zygos.model.model import load_model
 from zygos.native.flight import config_of, ffi, lib
