@@ -64,8 +64,8 @@ def config_page() -> str:
     lines = [(f"`{name}`", usual, bounds, words) for name, usual, bounds, words in capacities()]
     return page(
         "Configuration and capacities of the C library",
-        "`zygos compile-model` writes the configuration from an [arm file](arm.md). If you write it by hand, begin with "
-        "a struct of zeros. The page lists `zygos/types.h`; the enumerations are in [codes](codes.md).",
+        "`zygos compile-model` writes the configuration from an [arm file](arm.md). If you write it by hand, begin "
+        "with a struct of zeros. The page lists `zygos/types.h`; the enumerations are in [codes](codes.md).",
         *parts,
         "## Capacities",
         "Macros of the compiler, as decimal numbers: `-DZYGOS_MAX_JOINTS=2`. They must be the same for the library and "
