@@ -3,13 +3,20 @@
 #include <stddef.h>
 #include <string.h>
 
-#define MAGIC 0x5A59474Fu /* "ZYGO" */
-/* Calls of zygos_step() without a copy, for each with one, so that tasks have time. */
-#define PAUSES 3u
-/* Calls after which an estimate is adopted although an arc is being compared with the one before. */
-#define PATIENCE 4096u
+/* Calls after which an estimate is adopted although an arc is being compared with the one before, and without a cycle,
+   after which the bus counts as silent. */
+#define PATIENCE 512u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
+
+/* Programs that never call zygos_refine() do not link the refinement: these references need no definition. The
+   functions are there where a refinement is attached. */
+#pragma weak zygos_refine_init
+#pragma weak zygos_refine_start
+#pragma weak zygos_refine_cycle
+#pragma weak zygos_refine_step
+#pragma weak zygos_refine_scrub
+#pragma weak zygos_refine_judge
 
 /* ---------------------------------------------------------------- what was given */
 
@@ -81,7 +88,7 @@ static bool is_same(const zygos_given_t *a, const zygos_given_t *b)
 /* One flipped bit of the magic number is none. */
 static bool is_begun(const zygos_t *self)
 {
-    const uint32_t off = self->magic ^ MAGIC;
+    const uint32_t off = self->magic ^ ZYGOS_BEGUN;
     return (off & (off - 1u)) == 0;
 }
 
@@ -154,7 +161,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config, void *memory, uint32
     const int verdict = zygos_arm_init(&self->state, config);
     if (verdict == 1) {
         self->state.guard.adopting = 1;
-        self->magic = MAGIC;
+        self->magic = ZYGOS_BEGUN;
     }
     return verdict;
 }
@@ -342,7 +349,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         in_place_of(given)->of = self->restarts;
     } else {
         if ((self->handover.kind == 0) && (self->handover.cut == 0) && (self->handover.waited == 0)) {
-            if (self->rested < PAUSES * self->copied) {
+            if (self->rested < self->copied) { /* the tasks that have waited proceed */
                 return;
             }
             self->copied = 0;
@@ -418,19 +425,19 @@ static int patrol(zygos_t *self, const zygos_given_t *given)
     return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
 }
 
-/* The parts that are common to frames and cycles. Returns whether a cycle may be processed. */
-static bool prepare(zygos_t *self, zygos_given_t *given)
+/* Repairs what a flipped bit has changed of what was given, and returns it. */
+static zygos_given_t prepare(zygos_t *self)
 {
-    *given = given_to(self);
+    const zygos_given_t given = given_to(self);
     for (uint32_t i = 0; i < 3u; i++) { /* the others read this at any time: nothing is written where nothing flipped */
-        if (!is_same(&self->given[i], given)) {
-            self->given[i] = *given;
+        if (!is_same(&self->given[i], &given)) {
+            self->given[i] = given;
         }
     }
-    if (self->magic != MAGIC) {
-        self->magic = MAGIC;
+    if (self->magic != ZYGOS_BEGUN) {
+        self->magic = ZYGOS_BEGUN;
     }
-    return attend(self, given);
+    return given;
 }
 
 int zygos_step(zygos_t *self)
@@ -441,14 +448,20 @@ int zygos_step(zygos_t *self)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    zygos_given_t given;
-    if (!prepare(self, &given)) {
+    const zygos_given_t given = prepare(self);
+    int mended = decode(self, false) ? 0 : mend(self, &given);
+    if (mended < 0) {
+        return mended;
+    }
+    /* Estimates depend on the cycles alone, and not on how often this is called, unless the bus is silent. */
+    const bool waits = (zygos_receiver_front(&self->state.receiver) != NULL);
+    self->quiet = waits ? 0u : self->quiet + 1u;
+    if ((waits || (self->quiet > PATIENCE)) && !attend(self, &given)) {
         return 0;
     }
-    int mended = decode(self, false) ? 0 : mend(self, &given);
-    const zygos_cycle_t *cycle = (mended < 0) ? NULL : zygos_receiver_front(&self->state.receiver);
-    if (cycle == NULL) {
-        return (mended < 0) ? mended : 0;
+    if (!waits) {
+        self->quiet = (self->quiet > PATIENCE) ? PATIENCE : self->quiet;
+        return 0;
     }
     mended = patrol(self, &given);
     if (mended < 0) {
@@ -471,8 +484,8 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    zygos_given_t given;
-    if (!prepare(self, &given)) {
+    const zygos_given_t given = prepare(self);
+    if (!attend(self, &given)) {
         return 0;
     }
     int mended = patrol(self, &given);
@@ -483,24 +496,6 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     }
     refine(self, &given, (stepped > 0) ? cycle : NULL);
     return stepped;
-}
-
-int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_settings_t *settings, uint32_t slices)
-{
-    if ((self == NULL) || (refine == NULL) || (settings == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    if (!is_begun(self)) {
-        return ZYGOS_E_ORDER;
-    }
-    zygos_given_t given = given_to(self);
-    const int verdict = zygos_refine_init(refine, config_of(&given), settings);
-    if (verdict == 1) {
-        given.refine = (uintptr_t)refine;
-        given.slices = slices;
-        give(self, &given);
-    }
-    return verdict;
 }
 
 int zygos_restart(zygos_t *self, uint32_t keep)
@@ -575,7 +570,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config, void *memory, uint
     }
     self->state.restored = self->state.cycle;
     self->state.guard.adopting = 1;
-    self->magic = MAGIC;
+    self->magic = ZYGOS_BEGUN;
     return 1;
 }
 
@@ -639,7 +634,7 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     zygos_estimate_t *estimate = estimate_of(&given);
     const uint64_t unused = estimate->unused;
     const uint32_t restored = estimate->restored;
-    uint64_t of = 0;
+    uint32_t of = 0;
     if (background != NULL) {
         of = background->of;
         background->work.config = *config;
