@@ -119,4 +119,4 @@ def test_flipped_bits_take_the_program_of_the_readme_not_out_of_its_memory(memor
     behaviour; there are still estimates with values."""
     found = flown(contexts(memory, "address,undefined", "-O0"), bus, 300_000, 3_000)
     assert found["repairs"] > 30
-    assert found["values"] > 100
+    assert found["values"] > 3
