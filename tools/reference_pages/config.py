@@ -61,7 +61,7 @@ def config_page() -> str:
         comment, members = fields(struct)
         lines = [(f"`{name}`", f"`{kind}`", words) for name, kind, words in members]
         parts += [f"## {title}: `{struct}`", comment, table(("Field", "Type", "Comment in the header"), lines)]
-    lines = [(f"`{name}`", usual, bounds, words) for name, usual, bounds, words in capacities()]
+    macros = [(f"`{name}`", usual, bounds, words) for name, usual, bounds, words in capacities()]
     return page(
         "Configuration and capacities of the C library",
         "`zygos compile-model` writes the configuration from an [arm file](arm.md). If you write it by hand, begin "
@@ -71,5 +71,5 @@ def config_page() -> str:
         "Macros of the compiler, as decimal numbers: `-DZYGOS_MAX_JOINTS=2`. They must be the same for the library and "
         "for all files that include its headers. Other objects do not link, and `zygos_init()` refuses other structs "
         "(`ZYGOS_E_ABI`).",
-        table(("Macro", "Default", "Range", "Comment in the header"), lines),
+        table(("Macro", "Default", "Range", "Comment in the header"), macros),
     )
