@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/* include/zygos/priv/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h include/zygos/priv/*.h tests/fuzz/*.[ch] tests/bench/*.c tests/upset/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h include/zygos/priv/*.h tests/builds/*.c tests/fuzz/*.[ch] tests/bench/*.c tests/upset/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
 export CFLAGS += -Werror

@@ -47,9 +47,9 @@ const char *zygos_text(int code)
         return "arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below 20, joint_row_cycles is odd or too "
                "short, or this build has no room for such rows";
     case ZYGOS_E_ORDER:
-        return "zygos_arm_init() has not succeeded on this struct";
+        return "zygos_init() or zygos_resume() has not succeeded on this struct";
     case ZYGOS_E_KEEP:
-        return "zygos_arm_restart() does not know one of the bits, or there are no motor rows to keep";
+        return "zygos_restart() does not know one of the bits, or there are no motor rows to keep";
     case ZYGOS_E_EFFECT:
         return "an effect stands twice, or has no columns in this build";
     case ZYGOS_E_BASE:

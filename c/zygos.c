@@ -490,6 +490,10 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         if (!done || !is_verified(self, given, background->work.cycle)) {
             return;
         }
+        if (background->of != self->restarts) { /* what was compared was another arm */
+            background->compares = 0;
+            background->changed = 0;
+        }
         background->of = self->restarts;
         zygos_handover_begin(&self->handover);
     }

@@ -1,4 +1,5 @@
-"""Writes the reference pages in docs/reference/: keys of files, codes of the C library, JSON outputs, limits.
+"""Writes the reference pages in docs/reference/: keys of files, codes and configuration of the C library, JSON
+outputs, limits.
 
 Usage: reference.py [FOLDER]
 """
@@ -7,6 +8,7 @@ import sys
 from pathlib import Path
 
 from reference_pages.codes import codes_page
+from reference_pages.config import config_page
 from reference_pages.keys import FILES, answers_page, keys_page
 from reference_pages.limits import limits_page
 from reference_pages.outputs import json_page
@@ -22,6 +24,7 @@ def pages() -> dict[str, str]:
     others = {
         "answers.md": answers_page(),
         "codes.md": codes_page(),
+        "config.md": config_page(),
         "json.md": json_page(),
         "limits.md": limits_page(),
     }

@@ -21,19 +21,29 @@ enum zygos_validity {
 enum zygos_reason {
     ZYGOS_REASON_NONE = 0,    ///< The estimate is valid.
     ZYGOS_REASON_NO_DATA = 1, ///< Fewer than three accepted instants for each parameter, or than ZYGOS_MIN_BLOCKS.
-    ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion does not determine every parameter, as rank or sigmas show.
-    ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
-    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
-                                       ///< not positive, or a friction or lag is negative, by more than
-                                       ///< ZYGOS_NEGATIVE_SIGMAS.
-    ZYGOS_REASON_CORRUPT =
-        5, ///< Row sums or counts do not match: memory was changed, or zygos_arm_take() was not called.
-    ZYGOS_REASON_UNCLOSED = 6,     ///< The residuals are not noise (ZYGOS_CLUSTER_LIMIT): the balance does not close.
-    ZYGOS_REASON_DECLARED = 8,     ///< The declared noise is not in the data (ZYGOS_NOISE_ABSENT).
-    ZYGOS_REASON_NOISE = 7,        ///< Noise is as large as the motion in some combination (ZYGOS_MIN_SIGNAL_TO_NOISE).
-    ZYGOS_REASON_CHANGED = 9,      ///< Several consecutive newest arcs contradict the values (guard.h).
-    ZYGOS_REASON_UNEXPLAINED = 10, ///< The residuals are not noise, and exceed ZYGOS_UNEXPLAINED_LIMIT.
-    ZYGOS_REASON_GAIN = 11, ///< The gain of a torque sensor differs from what is declared of it (ZYGOS_GAIN_SIGMAS).
+    ZYGOS_REASON_NOT_IDENTIFIABLE =
+        2, ///< The motion does not determine every parameter, as rank or sigmas show, or the
+           ///< arm is at rest: move every joint, and those most whose parameters are missing.
+    ZYGOS_REASON_TOO_FAST =
+        3, ///< More than 5 % of the instants failed the bandwidth test: sample faster or move slower.
+    ZYGOS_REASON_NOT_PHYSICAL = 4, ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is not
+                                   ///< positive, or a friction or lag is negative, by more than ZYGOS_NEGATIVE_SIGMAS:
+                                   ///< wait, or check signs, ratios and the torque law.
+    ZYGOS_REASON_CORRUPT = 5,      ///< Row sums or counts do not match: memory was changed. zygos_step() repairs them.
+    ZYGOS_REASON_UNCLOSED = 6, ///< The residuals are not noise (ZYGOS_CLUSTER_LIMIT): the balance does not close. Check
+                               ///< ratios, zeros, signs and the torque law; friction that is not configured as an
+                               ///< effect and torques on the base have the same result.
+    ZYGOS_REASON_DECLARED = 8, ///< The declared noise is not in the data (ZYGOS_NOISE_ABSENT): declare the actual one.
+    ZYGOS_REASON_NOISE = 7,   ///< Noise is as large as the motion in some combination (ZYGOS_MIN_SIGNAL_TO_NOISE): move
+                              ///< more, or declare the actual noise of the sensors.
+    ZYGOS_REASON_CHANGED = 9, ///< Several consecutive newest arcs contradict the values (guard.h), which are those
+                              ///< before a change, or an arc differed from those before, and the values are of both:
+                              ///< call zygos_restart(). Where a sensor fails for a while, the first disappears when
+                              ///< arcs agree again.
+    ZYGOS_REASON_UNEXPLAINED = 10, ///< The residuals are not noise, and exceed ZYGOS_UNEXPLAINED_LIMIT: see
+                                   ///< ZYGOS_REASON_UNCLOSED; more motion does not help.
+    ZYGOS_REASON_GAIN = 11, ///< The gain of a torque sensor differs from what is declared of it (ZYGOS_GAIN_SIGMAS):
+                            ///< calibrate it, or declare it as that uncertain (torque_gain_sigma).
     ZYGOS_REASON_OLD = 12   ///< No row was added for longer than an arc: the values are of the arm as it was then.
 };
 

@@ -1,6 +1,7 @@
 /// zygos/refine.h: the filter of refiner.h as a task on board, in slices of bounded work.
 ///
-/// It begins with a valid estimate of zygos_work_solve() and refines it with every further cycle:
+/// zygos_refine() (zygos.h) attaches it to an arm, and the other calls do all that follows. A task of its own begins
+/// with a valid estimate of zygos_solve() and refines it with every further cycle:
 ///
 ///     static zygos_refine_t fine;                           // apart from zygos_arm_t: who does not refine needs none
 ///     zygos_refine_init(&fine, &arm.config, &settings);     // once

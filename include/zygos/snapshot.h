@@ -3,16 +3,8 @@
 /// A snapshot is a head of ZYGOS_SNAPSHOT_HEAD bytes, followed by the memory of a zygos_config_t or a zygos_arm_t, the
 /// image. The head contains the kind of the image, its memory layout and byte order, and a CRC-32C over all of it;
 /// docs/snapshot.md has the format. The CRC detects accidental errors only: anybody can compute one, and errors that
-/// were in memory before are sealed with it. Therefore zygos_arm_init() and zygos_arm_resume() check what they are
-/// given.
-///
-///     zygos_arm_check(&arm, &config, &work);                                 // zygos.h: never seal what is corrupt
-///     zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head);             // in the task of zygos_arm_step(); then
-///     store both
-///     ...
-///     zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, length);    // when both have been read back
-///     zygos_arm_check(&arm, &config, &work);
-///     zygos_arm_resume(&arm, &config);
+/// were in memory before are sealed with it. Therefore zygos_seal() and zygos_resume() (zygos.h), which seal and check
+/// the state of an arm by these functions, verify it beside that.
 ///
 /// zygos_snapshot_check() may also be used at any time to check that a configuration in memory is unchanged.
 

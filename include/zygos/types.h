@@ -35,8 +35,9 @@ extern "C" {
 #error "ZYGOS_MAX_HALF_WIDTH must be 2..31"
 #endif
 
-/// The number of blocks into which the normal equations are divided; the standard deviations are computed from the
-/// scatter of the blocks.
+/// The number of blocks into which the normal equations are divided; they take most of the memory. The standard
+/// deviations are computed from the scatter of the blocks: with fewer blocks the intervals are wider, by 13 % with 11.
+/// Less than about 32 do not suffice to compare the newest arc with those before it (zygos_estimate_t.changed).
 #ifndef ZYGOS_MAX_BLOCKS
 #define ZYGOS_MAX_BLOCKS 32
 #endif
@@ -47,8 +48,7 @@ extern "C" {
 /// The length of an array of places of blocks: whole words of eight bytes.
 #define ZYGOS_ORDER_PLACES ((ZYGOS_MAX_BLOCKS + 7) / 8 * 8)
 
-/// The number of complete cycles that may wait between zygos_arm_frame() and zygos_arm_step(), including the one that
-/// zygos_arm_step() processes.
+/// The number of complete cycles that may wait for zygos_step(), including the one that it processes.
 #ifndef ZYGOS_CYCLE_QUEUE
 #define ZYGOS_CYCLE_QUEUE 8
 #endif
@@ -238,7 +238,7 @@ static const unsigned char *const zygos_capacities_used ZYGOS_KEPT = &ZYGOS_CAPA
 #endif
 
 /* A reading that is not a number must be seen, and sums must be added in the order that is written. Compilers tell some
-   of the flags that break this; zygos_arm_init() finds the others. */
+   of the flags that break this; zygos_init() finds the others. */
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
 #error "zygos needs IEEE arithmetic; remedy: compile without -ffast-math and -ffinite-math-only"
 #endif
@@ -279,8 +279,8 @@ enum zygos_error {
                           ///< imu_to_base is not in its range.
     ZYGOS_E_ARC = -11,    ///< arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS,
                           ///< joint_row_cycles is odd or too short, or this build has no room for such rows.
-    ZYGOS_E_ORDER = -12,  ///< zygos_arm_init() has not succeeded on this struct.
-    ZYGOS_E_KEEP = -13,   ///< zygos_arm_restart() was given an unknown bit, or there are no motor rows to keep.
+    ZYGOS_E_ORDER = -12,  ///< zygos_init() or zygos_resume() has not succeeded on this struct.
+    ZYGOS_E_KEEP = -13,   ///< zygos_restart() was given an unknown bit, or there are no motor rows to keep.
     ZYGOS_E_EFFECT = -14, ///< There are too many effects, an effect has an unknown kind or joint or is listed twice, or
                           ///< an effect of a spring belongs to a rigid joint.
     ZYGOS_E_BASE = -15,   ///< base is no value of enum zygos_base, or gravity, gyro or momentum rows do not fit it.
@@ -352,25 +352,29 @@ typedef struct {
     uint32_t joint; ///< The index of the joint, 0..N-1.
 } zygos_effect_config_t;
 
-/// The hardware of one joint.
+/// The hardware of one joint, from the base outwards. The standard deviation of an encoder with n steps per turn is 2
+/// pi / n divided by the root of 12; add in squares that of the steps of a CAN frame, for n = 2^20, unless the steps of
+/// both are the same. Angles and their deviations are those after the gear: divide those of a rotor's encoder by the
+/// ratio.
 typedef struct {
     uint32_t node;     ///< CANopen-style node number of the joint's drive, 1..31.
     uint32_t latch_us; ///< Delay from SYNC to the latch of the encoders, as the drive transmits it.
     uint32_t rigid;    ///< 1: theta = q, measured by the motor encoder; no stiffness and no damping. 0: flexible.
     uint32_t reserved;
-    double frame[9];       ///< Rotation from the joint's frame to that of the preceding body at q = 0, row-major. It is
-                           ///< not used for a planar arm. The body behind the joint has the joint's frame.
-    double axis[3];        ///< Unit vector of the joint axis in the joint's frame.
-    double gear_ratio;     ///< Rotor turns per output turn, > 0.
-    double link_sign;      ///< +1 or -1: angle = sign * (reading - zero).
-    double link_zero_rad;  ///< Reading of the link encoder where q = 0.
-    double link_sigma_rad; ///< Standard deviation of the link encoder's noise; 0 switches its bandwidth test off.
-    double link_latch_s;   ///< Delay of the link encoder's latch, in addition to latch_us.
-    double motor_sign;     ///< The same as link_sign, for the motor encoder.
-    double motor_zero_rad; ///< Reading of the motor encoder where theta = 0.
-    double motor_sigma_rad;       ///< The same as link_sigma_rad, for the motor encoder.
-    double motor_latch_s;         ///< The same as link_latch_s, for the motor encoder.
-    double torque_sigma;          ///< Standard deviation of the torque's noise, after the gear [Nm]; 0: not declared.
+    double frame[9]; ///< Rotation from the joint's frame to that of the preceding body at q = 0, row-major. It is
+                     ///< not used for a planar arm. The body behind the joint has the joint's frame.
+    double axis[3];  ///< Unit vector of the joint axis in the joint's frame; those of a planar arm have one direction.
+    double gear_ratio;      ///< Rotor turns per output turn, 1e-3 .. 1e6.
+    double link_sign;       ///< +1 or -1: angle = sign * (reading - zero).
+    double link_zero_rad;   ///< Reading of the link encoder where q = 0, within +-1000.
+    double link_sigma_rad;  ///< Standard deviation of the link encoder's noise, 0 .. 1; 0 switches its bandwidth test
+                            ///< and the compensation of its noise off.
+    double link_latch_s;    ///< Delay of the link encoder's latch, in addition to latch_us; together 0 .. period_s.
+    double motor_sign;      ///< The same as link_sign, for the motor encoder.
+    double motor_zero_rad;  ///< Reading of the motor encoder where theta = 0, likewise.
+    double motor_sigma_rad; ///< The same as link_sigma_rad, for the motor encoder.
+    double motor_latch_s;   ///< The same as link_latch_s, for the motor encoder.
+    double torque_sigma; ///< Standard deviation of the torque's noise, after the gear [Nm], 0 .. 1e6; 0: not declared.
     double torque_relative_sigma; ///< The same as a share of its size, 0 .. 1. Both add in squares.
     double torque_gain_sigma;     ///< Standard deviation of the error of the torque sensor's gain, 0 .. 1. A joint with
                                   ///< ZYGOS_TORQUE_GAIN needs it above 0.
@@ -380,7 +384,7 @@ typedef struct {
 typedef struct {
     uint32_t column;    ///< Index of a column as it is formed, without those of the effects.
     uint32_t parameter; ///< Index of the parameter that it counts for.
-    double factor;
+    double factor;      ///< By which the column is multiplied, not 0.
 } zygos_reduction_t;
 
 /// Everything the library has to know of the hardware. It contains no mass, length or stiffness: those are estimated.
@@ -388,7 +392,7 @@ typedef struct {
     uint32_t abi;                 ///< Set it to ZYGOS_ABI.
     uint32_t joints;              ///< N, 1..ZYGOS_MAX_JOINTS.
     uint32_t kinetic;             ///< enum zygos_kinetic.
-    uint32_t torque_law;          ///< enum zygos_torque_law.
+    uint32_t torque_law;          ///< enum zygos_torque_law. No other field has as large an effect when it is wrong.
     uint32_t smoother_half_width; ///< M >= 2: the window holds the 2 M + 1 cycles around the smoothed instant.
     uint32_t smoother_order;      ///< Order of the local polynomial, 2 .. 2 M - 2.
     uint32_t smoother_lag;        ///< Must equal M: a filter that is evaluated at its newest sample is refused.
@@ -399,23 +403,26 @@ typedef struct {
                                   ///< forgets nothing. It is applied when an arc ends.
     uint32_t imu_node;            ///< Node number of the gyro, 1..31; 0 on a fixed base, which has no gyro.
     uint32_t imu_fine;            ///< 1: the rates are sent as i24 in two frames; 0: as i16 in one frame.
-    double period_s;              ///< SYNC period h. The time is the SYNC count times h; receive times are not used.
-    double imu_to_base[9];        ///< Rotation from the axes of the gyro to those of the base, row-major.
-    double imu_latch_s;           ///< Delay from SYNC to the gyro's latch.
-    double imu_sigma;             ///< Standard deviation of the noise of one component [rad/s]; 0: not declared.
-    double gravity[3];            ///< Gravity in the base frame [m/s^2]; 0 on a free base.
-    zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
+    double period_s; ///< SYNC period h, 1e-5 .. 0.065. The time is the SYNC count times h; receive times are not used.
+    double imu_to_base[9]; ///< Rotation from the axes of the gyro to those of the base, row-major, orthonormal within
+                           ///< 1e-9.
+    double imu_latch_s;    ///< Delay from SYNC to the gyro's latch, 0 .. period_s.
+    double imu_sigma;      ///< Standard deviation of the noise of one component [rad/s], 0 .. 1; 0: not declared.
+    double gravity[3];     ///< Gravity in the base frame [m/s^2]; 0 on a free base.
+    zygos_joint_config_t joint[ZYGOS_MAX_JOINTS]; ///< From the base outwards.
     uint32_t compensation; ///< The bias of the normal equations by the declared noise is subtracted. 0: it is not; m,
                            ///< 1..2 ZYGOS_MAX_JOINTS + 3: each sensor's part is computed in every m-th cycle, and that
                            ///< of each axis of the gyro.
-    uint32_t impulse_arc_cycles;  ///< Length of the arcs of motor rows, >= ZYGOS_MIN_ARC_INSTANTS; 0: no such rows.
+    uint32_t impulse_arc_cycles;  ///< Length of the arcs of motor rows, >= ZYGOS_MIN_ARC_INSTANTS, usually 10 s; 0: no
+                                  ///< such rows.
     uint32_t effects;             ///< Number of effects to identify, 0..ZYGOS_MAX_EFFECTS.
     uint32_t base;                ///< enum zygos_base.
     uint32_t momentum_arc_cycles; ///< Length of the arcs of momentum rows of a free base, likewise; 0: no such rows.
     uint32_t joint_row_cycles;    ///< Length of the increments of joint rows, even, at least 8 and at least twice the
-                                  ///< number of joints plus 4; 0: no such rows.
+                                  ///< number of joints plus 4, usually 0.1 to 0.2 s; 0: no such rows.
     zygos_effect_config_t
-        effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns; each kind at most once for a joint.
+        effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns, behind b of the last joint; each kind at most
+                                     ///< once for a joint. Each effect makes the other parameters less certain.
     uint32_t reduced;    ///< Number of parameters without those of effects; 0: as many as columns, no reduction.
     uint32_t reductions; ///< Number of entries of the reduction.
     zygos_reduction_t reduction[ZYGOS_REDUCTION_PLACES]; ///< By column, then by parameter, both ascending.

@@ -161,7 +161,7 @@ int zygos_step(zygos_t *self);
 /// The same for a cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. A cycle
 /// that is flagged ZYGOS_CYCLE_INVALID, or has a value that is not finite, an angle beyond +-1e4 rad or another value
 /// beyond +-1e6, is counted and dropped, and the arc ends. Returns 1 when the cycle was used, 0 when it was dropped or
-/// a solution in place is under way, ZYGOS_E_NULL or ZYGOS_E_ORDER.
+/// a solution in place is under way, ZYGOS_E_NULL, ZYGOS_E_ORDER, or ZYGOS_E_CONFIG as zygos_step().
 int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
 
 /// Asks zygos_step() for a copy of the sums, and solves it once it is there. Call it in the background as often as an
@@ -174,8 +174,8 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out);
 
 /// Attaches a refinement to an arm (refine.h): it begins with the next valid estimate, and again after a failure, and
 /// *refined is judged with every estimate. slices: how many slices of its work are done in each cycle; 0: all that
-/// there are. Returns 1, or an enum zygos_error as zygos_refine_init(). Call it after zygos_init(), in the task. Cost:
-/// that of zygos_refine_init().
+/// there are. Returns 1, or an enum zygos_error as zygos_refine_init(). Call it after zygos_init() or zygos_resume(),
+/// before the interrupt is enabled and the background runs. Cost: that of zygos_refine_init().
 int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_settings_t *settings, uint32_t slices);
 
 /// What zygos_refine() does with *self: *refine has been initialised. Returns the same.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_support import exact_torques
-from build_support import INCLUDE, ROOMS, ROOT, TARGETS, capacities, objects, onboard, run, tool
+from build_support import INCLUDE, ONBOARD, ROOMS, ROOT, TARGETS, capacities, objects, onboard, run, tool
 from calls_support import Calls
 from runs_support import trajectory_of
 
@@ -37,12 +37,12 @@ PLANAR_STACK, SPATIAL_STACK = (3328, 5376), (6656, 9728)
 
 
 def test_the_manual_says_how_large_the_structs_are(tmp_path: Path) -> None:
-    """The table of docs/integrate.md, by the command above it."""
-    text = (ROOT / "docs" / "integrate.md").read_text()
-    rows = re.findall(r"^\| (\d) \| (\d) \| (\d+)" + r" \| ([\d,]+)" * 4 + r" \|$", text, re.M)
-    assert len(rows) >= 8
-    command = re.search(r"^    (printf .*\n.*sizes\.o)$", text, re.M)
+    """The table of docs/cost.md, by the command of docs/integrate.md; what README.md and the manual say of an arm."""
+    command = re.search(r"^    (printf .*\n.*sizes\.o)$", (ROOT / "docs" / "integrate.md").read_text(), re.M)
     assert command is not None
+    cost = (ROOT / "docs" / "cost.md").read_text()
+    rows = re.findall(r"^\| (\d) \| (\d) \| (\d+)" + r" \| ([\d,]+)" * 4 + r" \|$", cost, re.M)
+    assert len(rows) >= 8
     asked = "-DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0"
     assert asked in command[1]
     for joints, spatial, blocks, *said in rows:
@@ -51,16 +51,22 @@ def test_the_manual_says_how_large_the_structs_are(tmp_path: Path) -> None:
         )
         out = run(["sh", "-c", command[1].replace(asked, given)], tmp_path)
         found = {name: int(size) for size, name in re.findall(r"^\d+ 0*(\d+) B (\w+)$", out, re.M)}
-        together = sum(found.values())
-        assert [f"{size:,}" for size in (found["arm"], found["work"], found["estimate"], together)] == said
-        if (joints, spatial, blocks) == ("2", "0", "32"):
-            assert f"{together / 1000:.0f} kB at {asked}" in (ROOT / "README.md").read_text()
+        assert [f"{found[name]:,}" for name in ("arm", "background", "in_place", "estimate")] == said
         if (joints, spatial, blocks) == ("7", "1", "32"):
-            for page, words in (
-                ("README.md", "structs, state, work and estimate, take"),
-                ("docs/cost.md", "joints take"),
-            ):
-                assert f"{words} {together / 1e6:.1f} MB" in (ROOT / page).read_text()
+            together = found["arm"] + found["background"] + found["estimate"]
+            readme = (ROOT / "README.md").read_text()
+            assert f"structs, arm, background and estimate, take {together / 1e6:.1f} MB" in readme
+            assert f"joints take {together / 1e6:.1f} MB" in cost
+
+
+def test_the_manual_says_how_large_the_build_for_the_papers_arm_is() -> None:
+    """By the comment of the header that `zygos compile-model` writes."""
+    written = (ONBOARD / "arm_config.h").read_text()
+    usual, in_place = re.findall(r" takes ([\d,]+) bytes", written)
+    manual, readme = (ROOT / "docs" / "integrate.md").read_text(), (ROOT / "README.md").read_text()
+    assert f"{usual} bytes for that of the paper, and {in_place} in place" in manual
+    thousands = [int(size.replace(",", "")) / 1000 for size in (usual, in_place)]
+    assert f"paper's arm: {thousands[0]:.0f} kB for" in readme and f"; {thousands[1]:.1f} kB where" in readme
 
 
 def named(header: Path) -> str:

@@ -1,4 +1,5 @@
-"""The C code in README.md and in the manual is C: it compiles without a warning, links, and starts."""
+"""The C code in README.md and in the manual is C: it compiles without a warning, links, and starts. The program of
+README.md, as it stands, has no data race between its three contexts, and withstands flipped bits."""
 
 from __future__ import annotations
 
@@ -6,35 +7,37 @@ import re
 from pathlib import Path
 
 import pytest
-from build_support import INCLUDE, ONBOARD, ROOT, onboard, run, tool
+from build_support import INCLUDE, ONBOARD, PLANAR, ROOMS, ROOT, kept, onboard, run, tool
+from runs_support import trajectory_of
+
+from zygos.arm import load_arm
+from zygos.model.model import load_model
+from zygos.native import flight
+from zygos.simulation.scenario import load_scenario
 
 FLAGS = "-std=c11 -Wall -Wextra -Wconversion -Wshadow -pedantic -Werror".split()
-PAGES = (ROOT / "README.md", ROOT / "docs" / "integrate.md")
+PAGES = (ROOT / "README.md", ROOT / "docs" / "integrate.md", ROOT / "docs" / "refine.md")
+CONTEXTS = Path(__file__).parent / "contexts.c"
+SYNC_MODULUS = 240
 MAIN = """
-void can_enable(bool enabled) { (void)enabled; }
 int main(void)
 {
     double stiffness = 0.0;
-    const int begun = arm_start();
+    uint8_t head[ZYGOS_SNAPSHOT_HEAD];
     const zygos_frame_t frame = { .id = 0x7FFu };
+    const int begun = arm_start();
     can_receive(&frame);
-    return (begun == 1 && estimator_task() == 1 && solver_task(&stiffness) == 0 && arm_learned() == 0 &&
-            arm_has_changed() == 0 && payload_was_taken() == 1) ? 0 : 1;
+    return (begun == 1 && estimator_task() == 0 && solver_task(&stiffness) == 0 && payload_was_taken() == 1 &&
+            before_the_end(head) == 1 && after_the_start(head, sizeof head + sizeof arm.state) == 1) ? 0 : 1;
 }
 """
 
 
 def program(page: Path) -> str:
-    """The blocks of C on a page as one file; statements without a function become one."""
+    """The blocks of C on a page as one file."""
     blocks = re.findall(r"^```c\n(.*?)^```$", page.read_text(), re.M | re.S)
     assert blocks
-    whole = [
-        block
-        if re.match(r"static |int |#include|/\*", block)
-        else f"void configure(zygos_config_t config)\n{{\n{block}(void)config;\n}}\n"
-        for block in blocks
-    ]
-    return '#include "zygos/zygos.h"\n' + "\n".join(whole)
+    return '#include "zygos/zygos.h"\n' + "\n".join(blocks)
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
@@ -52,3 +55,68 @@ def test_the_program_of_the_manual_starts(tmp_path: Path) -> None:
     )
     run([tool("gcc"), *FLAGS, f"-I{ONBOARD}", "page.c", *said.split(), "-o", "page"], tmp_path)
     run([str(tmp_path / "page")], tmp_path)
+
+
+@pytest.fixture(scope="module")
+def bus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A minute of frames of examples/paper."""
+    folder = ROOT / "examples" / "paper"
+    arm, model = load_arm(folder / "arm.toml"), load_model(folder / "model.toml")
+    cycles = trajectory_of(arm, model, load_scenario(folder / "scenario.toml")).cycles()
+    assert len(cycles) % SYNC_MODULUS == 0
+    path = tmp_path_factory.mktemp("bus") / "frames"
+    path.write_bytes(flight.encode(arm, cycles)[:-1].tobytes())
+    return path
+
+
+def contexts(memory: str, sanitizers: str, level: str, *flags: str) -> Path:
+    """README's program with this memory for solutions, the library and contexts.c, with sanitizers."""
+    source = program(PAGES[0])
+    assert source.count("zygos_background_t memory;") == 1
+    source = source.replace("zygos_background_t memory;", f"{memory} memory;")
+    command = [
+        tool("gcc"), *FLAGS, level, "-g", "-ffp-contract=off", "-D_POSIX_C_SOURCE=200809L", *PLANAR.split(), *flags,
+        f"-fsanitize={sanitizers}", "-fno-sanitize-recover=all", "-pthread", INCLUDE, f"-I{ONBOARD}", "-I.",
+        str(CONTEXTS), *map(str, ROOMS), "-lm", "-o", "contexts",
+    ]  # fmt: skip
+
+    def build(folder: Path) -> None:
+        (folder / "page.c").write_text(source)
+        run(command, folder)
+
+    return kept(build, source, *command, sources=[CONTEXTS, ONBOARD / "arm_config.h"]) / "contexts"
+
+
+def flown(program: Path, bus: Path, *words: int) -> dict[str, int]:
+    """What contexts.c counts. A sanitizer that finds something writes it and ends the program with an error."""
+    names = ("begun_again", "cycles", "overrun", "estimates", "values", "repairs", "losses")
+    out = run([str(program), str(bus), *map(str, words)], bus.parent)
+    return dict(zip(names, map(int, out.split()), strict=True))
+
+
+@pytest.mark.slow(but=["background-few"])
+@pytest.mark.parametrize("frames", [10_000, 1_000_000], ids=["few", "million"])
+@pytest.mark.parametrize(
+    ("memory", "flags"),
+    [("zygos_background_t", ()), ("zygos_in_place_t", ()), ("zygos_background_t", ("-DREFINE",))],
+    ids=["background", "in-place", "refining"],
+)
+def test_the_program_of_the_readme_has_no_data_race(
+    memory: str, flags: tuple[str, ...], frames: int, bus: Path
+) -> None:
+    """An interrupt thread, the task and the background, under ThreadSanitizer."""
+    level = "-O2" if frames > 100_000 else "-O0"  # the shorter way to build and fly
+    found = flown(contexts(memory, "thread", level, *flags), bus, frames)
+    assert found["cycles"] > frames / 7.1  # seven frames a cycle, and FTIME
+    assert found["values"] > 0
+    assert found["overrun"] == found["repairs"] == found["losses"] == 0
+
+
+@pytest.mark.slow(but=["background"])
+@pytest.mark.parametrize("memory", ["zygos_background_t", "zygos_in_place_t"], ids=["background", "in-place"])
+def test_flipped_bits_take_the_program_of_the_readme_not_out_of_its_memory(memory: str, bus: Path) -> None:
+    """Bits of `arm` and of its memory flip between the calls, under the sanitizers of addresses and of undefined
+    behaviour; there are still estimates with values."""
+    found = flown(contexts(memory, "address,undefined", "-O0"), bus, 300_000, 3_000)
+    assert found["repairs"] > 30
+    assert found["values"] > 3

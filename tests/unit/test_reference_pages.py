@@ -53,7 +53,7 @@ def test_no_other_module_reads_files_of_keys() -> None:
 
 
 def test_every_enumeration_of_the_headers_is_on_the_page() -> None:
-    headers = "".join(path.read_text() for path in (ROOT / "include" / "zygos").glob("*.h"))
+    headers = "".join(path.read_text() for path in (ROOT / "include" / "zygos").rglob("*.h"))
     page = (tool.PAGES / "codes.md").read_text()
     assert set(re.findall(r"^enum (\w+) \{", headers, re.MULTILINE)) == set(re.findall(r"## `enum (\w+)`", page))
 
