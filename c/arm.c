@@ -240,17 +240,32 @@ static inline uint32_t places_of(const zygos_arm_t *self)
     return zygos_fold_of_counts_end(fold);
 }
 
-/* Continues a fold with whole words of eight bytes of a struct. */
-static inline uint64_t folded(uint64_t fold, const void *whole, size_t first, size_t bytes)
+/* Exchanges the halves, which costs a core of 32 bits nothing. */
+static inline uint64_t exchanged(uint64_t number)
 {
-    const unsigned char *from = (const unsigned char *)whole + first;
-    fold *= 0x100000001B3u; /* words of two structs that are 64 apart do not cancel either */
-    for (const unsigned char *end = from + bytes; from != end; from += 8) {
-        uint64_t word;
-        __builtin_memcpy(&word, from, sizeof word);
-        fold = zygos_folded(fold, word);
+    return (number << 32u) | (number >> 32u);
+}
+
+static inline uint64_t word_at(const unsigned char *from)
+{
+    uint64_t word;
+    __builtin_memcpy(&word, from, sizeof word);
+    return word;
+}
+
+/* Continues a fold with whole words of eight bytes of a struct, two of them at a time. The factor is odd, so that a
+   flipped bit always changes the product; the top bit, which a product keeps to itself, becomes one in the middle. That
+   is cheaper than a turn for each word, which takes a core of 32 bits four instructions. Inline, because the number of
+   words is known where it is called. */
+__attribute__((always_inline)) static inline uint64_t folded(uint64_t fold, const void *whole, size_t first,
+                                                             size_t bytes)
+{
+    const unsigned char *from = (const unsigned char *)__builtin_assume_aligned(whole, 8) + first;
+    const unsigned char *const pairs = from + (bytes & ~(size_t)15u);
+    for (; from != pairs; from += 16) {
+        fold = exchanged((fold ^ word_at(from) ^ exchanged(word_at(from + 8))) * 0x9E3779B1u);
     }
-    return fold;
+    return ((bytes & 8u) == 0) ? fold : exchanged((fold ^ word_at(from)) * 0x9E3779B1u);
 }
 
 /* From the first to the last of these members of a struct, with what lies between. */

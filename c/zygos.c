@@ -72,10 +72,13 @@ static zygos_refine_t *refine_of(const zygos_given_t *given)
     return (zygos_refine_t *)given->refine;
 }
 
+/* Whether two copies are the same. The members are compared one by one, because a struct of them has a padding on some
+   processors. */
 static bool is_same(const zygos_given_t *a, const zygos_given_t *b)
 {
-    return ((a->config ^ b->config) | (a->memory ^ b->memory) | (a->refine ^ b->refine) |
-            (uintptr_t)((a->background ^ b->background) | (a->nodes ^ b->nodes) | (a->slices ^ b->slices))) == 0;
+    const uintptr_t pointers = (a->config ^ b->config) | (a->memory ^ b->memory) | (a->refine ^ b->refine);
+    const uint32_t words = (a->background ^ b->background) | (a->nodes ^ b->nodes) | (a->slices ^ b->slices);
+    return (pointers | (uintptr_t)words) == 0;
 }
 
 /* One flipped bit of the magic number is none. */
@@ -164,13 +167,16 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     if ((self == NULL) || (frame == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if (!is_begun(self)) {
+    if ((self->magic != MAGIC) && !is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    const uint32_t nodes = two_of_words(self->given[0].nodes, self->given[1].nodes, self->given[2].nodes);
+    uint32_t nodes = self->given[0].nodes;
+    if (nodes != self->given[1].nodes) { /* two that are equal are what two of three say */
+        nodes = two_of_words(nodes, self->given[1].nodes, self->given[2].nodes);
+    }
     const uint32_t node = frame->id & 0x7Fu;
-    const bool own = (frame->flags != 0) || (frame->id == ZYGOS_ID_SYNC) || (node == ZYGOS_NODE_COMPUTER) ||
-                     ((node < 32u) && (((nodes >> node) & 1u) != 0));
+    const bool own = ((node < 32u) && (((nodes >> node) & 1u) != 0)) || (frame->id == ZYGOS_ID_SYNC) ||
+                     (node == ZYGOS_NODE_COMPUTER) || (frame->flags != 0);
     if (!own) {
         return 0;
     }
@@ -217,31 +223,30 @@ static int mend(zygos_t *self, const zygos_given_t *given)
 
 /* ---------------------------------------------------------------- the task */
 
-/* Places that memory errors have moved apart lose what waits. */
-static uint32_t waiting(zygos_t *self)
+/* Whether a complete cycle waits. */
+static bool is_complete(const zygos_receiver_t *receiver)
 {
-    const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_ACQUIRE);
-    if (head - self->tail > (uint32_t)ZYGOS_RING) {
-        __atomic_store_n(&self->tail, head, __ATOMIC_RELEASE);
-    }
-    return head - self->tail;
+    return receiver->queue.head != receiver->queue.tail;
 }
 
-/* Decodes frames until a cycle is complete. Returns false where memory was changed. */
+/* Decodes frames until a cycle is complete, or all. Places that memory errors have moved apart lose what waits. The
+   receiver accesses nothing outside itself, whatever its places are: these are checked once, behind the last frame.
+   Returns false where memory was changed. */
 static bool decode(zygos_t *self, bool all)
 {
-    bool good = zygos_receiver_intact(&self->state.receiver);
-    for (uint32_t left = waiting(self); (left > 0) && good; left--) {
-        if (!all && (zygos_receiver_front(&self->state.receiver) != NULL)) {
-            return true;
-        }
-        good = (zygos_arm_frame(&self->state, &self->ring[self->tail % (uint32_t)ZYGOS_RING]) >= 0);
-        __atomic_store_n(&self->tail, self->tail + 1u, __ATOMIC_RELEASE);
+    zygos_receiver_t *receiver = &self->state.receiver;
+    const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_ACQUIRE);
+    uint32_t tail = (head - self->tail > (uint32_t)ZYGOS_RING) ? head : self->tail;
+    for (; (tail != head) && (all || !is_complete(receiver)); tail++) {
+        (void)zygos_receiver_frame(receiver, &self->state.config, &self->ring[tail % (uint32_t)ZYGOS_RING]);
     }
+    __atomic_store_n(&self->tail, tail, __ATOMIC_RELEASE);
     const uint32_t lost = __atomic_load_n(&self->overrun, __ATOMIC_RELAXED);
-    self->state.receiver.faults.overrun += lost - self->overrun_counted;
-    self->overrun_counted = lost;
-    return good && zygos_receiver_intact(&self->state.receiver);
+    if (lost != self->overrun_counted) {
+        receiver->faults.overrun += lost - self->overrun_counted;
+        self->overrun_counted = lost;
+    }
+    return zygos_receiver_intact(receiver);
 }
 
 /* A comparison with the adopted estimate should not begin with one and end with another. */
@@ -386,13 +391,10 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
     return true;
 }
 
-/* The cycle that waits, and the slices of the refinement. */
+/* The cycle that waits, and the slices of the refinement, where there is one. */
 static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_t *cycle)
 {
     zygos_refine_t *task = refine_of(given);
-    if (task == NULL) {
-        return;
-    }
     int done = (cycle != NULL) ? zygos_refine_cycle(task, cycle) : 1;
     if (self->refining != 0) {
         return; /* the background begins it */
@@ -414,19 +416,19 @@ static int patrol(zygos_t *self, const zygos_given_t *given)
     return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
 }
 
-/* The parts that are common to frames and cycles. Returns whether a cycle may be processed. */
-static bool prepare(zygos_t *self, zygos_given_t *given)
+/* The parts that are common to frames and cycles. Returns what was given, or NULL where no cycle may be processed. The
+   first copy is compared with one of the others in turn: two that are the same are what two of three say, and a bit
+   that flips in the third is mended a call later. */
+static const zygos_given_t *prepare(zygos_t *self)
 {
-    *given = given_to(self);
-    for (uint32_t i = 0; i < 3u; i++) { /* the others read this at any time: nothing is written where nothing flipped */
-        if (!is_same(&self->given[i], given)) {
-            self->given[i] = *given;
-        }
+    if (!is_same(&self->given[0], &self->given[1u + (self->rested & 1u)])) {
+        const zygos_given_t given = given_to(self);
+        give(self, &given); /* the others read these at any time: nothing is written where nothing flipped */
     }
     if (self->magic != MAGIC) {
         self->magic = MAGIC;
     }
-    return attend(self, given);
+    return attend(self, &self->given[0]) ? &self->given[0] : NULL;
 }
 
 int zygos_step(zygos_t *self)
@@ -437,23 +439,24 @@ int zygos_step(zygos_t *self)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    zygos_given_t given;
-    if (!prepare(self, &given)) {
+    const zygos_given_t *given = prepare(self);
+    if (given == NULL) {
         return 0;
     }
-    int mended = decode(self, false) ? 0 : mend(self, &given);
-    const zygos_cycle_t *cycle = (mended < 0) ? NULL : zygos_receiver_front(&self->state.receiver);
-    if (cycle == NULL) {
+    int mended = decode(self, false) ? 0 : mend(self, given);
+    if ((mended < 0) || !is_complete(&self->state.receiver)) {
         return (mended < 0) ? mended : 0;
     }
-    mended = patrol(self, &given);
+    mended = patrol(self, given);
     if (mended < 0) {
         return mended;
     }
-    refine(self, &given, zygos_receiver_front(&self->state.receiver));
+    if (given->refine != 0) {
+        refine(self, given, zygos_receiver_front(&self->state.receiver));
+    }
     int stepped = zygos_arm_step(&self->state);
     if (stepped < 0) {
-        mended = mend(self, &given);
+        mended = mend(self, given);
         stepped = (mended < 0) ? mended : zygos_arm_step(&self->state);
     }
     return stepped;
@@ -467,17 +470,19 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    zygos_given_t given;
-    if (!prepare(self, &given)) {
+    const zygos_given_t *given = prepare(self);
+    if (given == NULL) {
         return 0;
     }
-    int mended = patrol(self, &given);
+    int mended = patrol(self, given);
     int stepped = (mended < 0) ? mended : zygos_arm_cycle(&self->state, cycle);
     if ((stepped < 0) && (mended >= 0)) {
-        mended = mend(self, &given);
+        mended = mend(self, given);
         stepped = (mended < 0) ? mended : zygos_arm_cycle(&self->state, cycle);
     }
-    refine(self, &given, (stepped > 0) ? cycle : NULL);
+    if (given->refine != 0) {
+        refine(self, given, (stepped > 0) ? cycle : NULL);
+    }
     return stepped;
 }
 
@@ -635,7 +640,7 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     zygos_estimate_t *estimate = estimate_of(&given);
     const uint64_t unused = estimate->unused;
     const uint32_t restored = estimate->restored;
-    uint64_t of = 0;
+    uint32_t of = 0;
     if (background != NULL) {
         of = background->of;
         background->work.config = *config;
