@@ -4,10 +4,9 @@
 #include <string.h>
 
 #define MAGIC 0x5A59474Fu /* "ZYGO" */
-/* Calls of zygos_step() without a copy, for each with one, so that tasks have time. */
-#define PAUSES 3u
-/* Calls after which an estimate is adopted although an arc is being compared with the one before. */
-#define PATIENCE 4096u
+/* Calls after which an estimate is adopted although an arc is being compared with the one before, and without a cycle,
+   after which the bus counts as silent. */
+#define PATIENCE 512u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
 
@@ -72,12 +71,14 @@ static zygos_refine_t *refine_of(const zygos_given_t *given)
     return (zygos_refine_t *)given->refine;
 }
 
-/* Whether two copies are the same. The members are compared one by one, because a struct of them has a padding on some
-   processors. */
-static bool is_same(const zygos_given_t *a, const zygos_given_t *b)
+/* Whether the three copies are the same, which is nearly always so. The members are compared one by one, because a
+   struct of them has a padding on some processors. */
+static bool agree(const zygos_given_t *a, const zygos_given_t *b, const zygos_given_t *c)
 {
-    const uintptr_t pointers = (a->config ^ b->config) | (a->memory ^ b->memory) | (a->refine ^ b->refine);
-    const uint32_t words = (a->background ^ b->background) | (a->nodes ^ b->nodes) | (a->slices ^ b->slices);
+    const uintptr_t pointers = (a->config ^ b->config) | (a->config ^ c->config) | (a->memory ^ b->memory) |
+                               (a->memory ^ c->memory) | (a->refine ^ b->refine) | (a->refine ^ c->refine);
+    const uint32_t words = (a->background ^ b->background) | (a->background ^ c->background) | (a->nodes ^ b->nodes) |
+                           (a->nodes ^ c->nodes) | (a->slices ^ b->slices) | (a->slices ^ c->slices);
     return (pointers | (uintptr_t)words) == 0;
 }
 
@@ -347,7 +348,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         in_place_of(given)->of = self->restarts;
     } else {
         if ((self->handover.kind == 0) && (self->handover.cut == 0) && (self->handover.waited == 0)) {
-            if (self->rested < PAUSES * self->copied) {
+            if (self->rested < self->copied) { /* the tasks that have waited proceed */
                 return;
             }
             self->copied = 0;
@@ -416,19 +417,16 @@ static int patrol(zygos_t *self, const zygos_given_t *given)
     return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
 }
 
-/* The parts that are common to frames and cycles. Returns what was given, or NULL where no cycle may be processed. The
-   first copy is compared with one of the others in turn: two that are the same are what two of three say, and a bit
-   that flips in the third is mended a call later. */
+/* Repairs what a flipped bit has changed of what was given, and of the magic number. Returns what was given, in a copy
+   that is like the others. */
 static const zygos_given_t *prepare(zygos_t *self)
 {
-    if (!is_same(&self->given[0], &self->given[1u + (self->rested & 1u)])) {
+    if (!agree(&self->given[0], &self->given[1], &self->given[2])) {
         const zygos_given_t given = given_to(self);
         give(self, &given); /* the others read these at any time: nothing is written where nothing flipped */
     }
-    if (self->magic != MAGIC) {
-        self->magic = MAGIC;
-    }
-    return attend(self, &self->given[0]) ? &self->given[0] : NULL;
+    self->magic = MAGIC;
+    return &self->given[0];
 }
 
 int zygos_step(zygos_t *self)
@@ -436,16 +434,23 @@ int zygos_step(zygos_t *self)
     if (self == NULL) {
         return ZYGOS_E_NULL;
     }
-    if (!is_begun(self)) {
+    if ((self->magic != MAGIC) && !is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
     const zygos_given_t *given = prepare(self);
-    if (given == NULL) {
+    int mended = decode(self, false) ? 0 : mend(self, given);
+    if (mended < 0) {
+        return mended;
+    }
+    /* Estimates depend on the cycles alone, and not on how often this is called, unless the bus is silent. */
+    const bool waits = is_complete(&self->state.receiver);
+    self->quiet = waits ? 0u : self->quiet + 1u;
+    if ((waits || (self->quiet > PATIENCE)) && !attend(self, given)) {
         return 0;
     }
-    int mended = decode(self, false) ? 0 : mend(self, given);
-    if ((mended < 0) || !is_complete(&self->state.receiver)) {
-        return (mended < 0) ? mended : 0;
+    if (!waits) {
+        self->quiet = (self->quiet > PATIENCE) ? PATIENCE : self->quiet;
+        return 0;
     }
     mended = patrol(self, given);
     if (mended < 0) {
@@ -471,7 +476,7 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
         return ZYGOS_E_ORDER;
     }
     const zygos_given_t *given = prepare(self);
-    if (given == NULL) {
+    if (!attend(self, given)) {
         return 0;
     }
     int mended = patrol(self, given);

@@ -119,13 +119,15 @@ typedef struct {
     uint32_t overrun_counted; ///< Of overrun, what state.receiver.faults has.
     uint64_t repairs;         ///< Times that memory was found changed and repaired.
     uint64_t losses;          ///< Times that it could not be repaired, and the estimation began anew.
-    uint64_t rested;          ///< Calls of zygos_step() since the sums were copied last.
-    uint64_t copied;          ///< Calls that this took.
-    uint32_t waited;          ///< Calls for which an estimate has waited to be adopted.
+    uint64_t rested;          ///< Cycles since the sums were copied last.
+    uint64_t copied;          ///< Cycles that this took.
+    uint32_t waited;          ///< Cycles for which an estimate has waited to be adopted.
     uint32_t refining;        ///< 1: the background has the memory of the refinement.
     uint32_t refines_anew;    ///< 1: what is refined is another arm's.
+    uint32_t quiet;           ///< Calls in a row without a cycle.
     uint32_t restarts;        ///< Times, modulo 2^32, that the sums were given up: zygos_restart(), and memory beyond
                               ///< repair.
+    uint32_t reserved;
     zygos_given_t given[3];
     zygos_handover_t handover;
     zygos_patrol_t patrol;
