@@ -604,7 +604,8 @@ static void proceed_energy(zygos_arm_t *self)
 static void idle(zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->config;
-    const uint32_t parts = share_rows(self);
+    const uint32_t most = share_rows(self);
+    const uint32_t parts = ((self->beside != 0) && (most > 1u)) ? most - 1u : most;
     for (uint32_t part = 0; part < parts; part++) {
         if ((self->motor_sums.task != ZYGOS_MOTOR_NONE) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS)) {
             (void)zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);

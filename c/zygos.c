@@ -356,7 +356,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         self->copied++;
         const bool done = zygos_handover_part(&self->handover, &self->state, &background->work);
         self->state.held = zygos_handover_held(&self->handover);
-        self->state.beside = 1;
+        self->state.beside = (self->handover.waited == 0) ? 1u : 0u; /* tasks proceed while the copy waits */
         if (!done) {
             return;
         }
