@@ -51,8 +51,8 @@ SIZES = (
 )  # fmt: skip
 PLACES = (
     "frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first",
-    "row_turn", "row_step", "row_signal", "row_moved", "row_waits", "energy_task", "motor_task", "momentum_task", "stage",
-    "patrol",
+    "row_turn", "row_step", "row_signal", "row_moved", "row_waits", "energy_task", "motor_task", "momentum_task",
+    "stage", "patrol",
 )  # fmt: skip
 """Where a cycle stands, as bench/driver.c has it."""
 RELEVANT: dict[str, tuple[str, ...]] = {
@@ -63,7 +63,7 @@ RELEVANT: dict[str, tuple[str, ...]] = {
     "accumulator": ("filled", "first", "energy_task"), "tables": ("patrol",), "handover": (), "frame": ("frames",),
 }  # fmt: skip
 """On which of them the cost of a stage may depend."""
-REST = ("frames", "row_turn", "energy_task", "motor_task", "momentum_task", "stage", "patrol")
+REST = ("frames", "row_turn", "energy_task", "motor_task", "momentum_task", "patrol")
 """On which of them the rest of a step may depend, which is TOPS themselves."""
 DRIVER = ROOT / "tests" / "bench" / "driver.c"
 

@@ -14,7 +14,7 @@ from bench.cortex import firmware
 from bench.counting import FOLDED, ROOMS, WHOLE
 from conftest import ROOT
 
-ENTRIES = ("zygos_arm_init", "zygos_arm_frame", "zygos_arm_step", "zygos_arm_take", "zygos_work_solve")
+ENTRIES = ("zygos_init", "zygos_frame", "zygos_step", "zygos_solve")
 """What an onboard program calls; all else is left out by the linker."""
 LIBRARY = "library"
 """The stage of all of them together."""

@@ -85,7 +85,7 @@ def test_the_solution_that_is_counted_has_every_parameter(tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize(("target", "name"), tables.HELD)
 def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, name: str) -> None:
-    """All frames in, the row accumulated; the mean of ordinary cycles, wherever they stand."""
+    """All frames in, the row accumulated, its share of all else; the mean of ordinary cycles, wherever they stand."""
     count = counted(target, name)
     mean = float(count.stage(TOGETHER)[count.ordinary()].mean())
     assert count.ordinary().sum() > 500
@@ -126,11 +126,13 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
     ("target", "name"), [("x86-64", "paper, bare"), ("x86-64", "paper"), *(("m7", name) for name in CONFIGURATIONS)]
 )
 def test_no_cycle_costs_much_more_than_the_others(counted: Counter, target: str, name: str) -> None:
-    """What ends and opens arcs and blocks proceeds by a part per cycle, and arcs that end too soon wait for that."""
+    """What ends and opens arcs and blocks proceeds by a part per cycle, and arcs that end too soon wait for that; sums
+    are copied for a solution in parts, too."""
     count = counted(target, name)
     cycles = count.stage(TOGETHER)
     assert cycles.max() <= tables.FLAT * cycles[count.ordinary()].mean()
     assert count.waits().any() or name != "spatial"
+    assert count.hands().sum() > 50
 
 
 @pytest.mark.slow
@@ -166,10 +168,11 @@ def test_a_run_for_another_build_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
-    """zygos_arm_t is the same on both targets, and its rooms fit into it. The solver has pointers."""
+    """zygos_t is the same on both targets but for pointers, and its rooms fit into it. The solver has pointers."""
     host, target = counted("x86-64", "paper, bare").sizes, counted("m7", "paper, bare").sizes
-    assert {**host, "solver": 0} == {**target, "solver": 0}
-    assert 0 < host["solver"] - target["solver"] < 120
+    pointers = {"whole": 0, "solver": 0}
+    assert host | pointers == target | pointers
+    assert all(0 < host[which] - target[which] < 120 for which in pointers)
     rooms = sum(size for name, size in host.items() if name not in ("parameters", "whole", "solver"))
     assert 0.95 < rooms / host["whole"] < 1.0
 
