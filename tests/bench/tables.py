@@ -25,8 +25,8 @@ BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 3600, ("m7", 
 """Most instructions of a full cycle, by target and configuration."""
 HELD = {("x86-64", "paper, bare"): 5200, ("m7", "paper, bare"): 5500, ("m7", "seven, bare"): 90_000}
 """What is held: a budget that is met, and what stands in place of those that are missed. Each cycle stores its frames
-in the interrupt and decodes them in the task, verifies the places by which it addresses memory, the integrals and a part
-of the tables (docs/upset.md), and has its share of the work beside the rows."""
+in the interrupt and decodes them in the task, verifies the places by which it addresses memory, the integrals and a
+part of the tables (docs/upset.md), and has its share of the work beside the rows."""
 WHOLE = {"paper, bare": 0.5, "spatial, bare": 0.9, "seven, bare": 0.9}
 """Most that kinematics, balance and accumulator take of the instructions of Pinocchio and Eigen for the same p."""
 NEEDED = ("wire", "cycle", "smoother", "kinematics", "balance")
