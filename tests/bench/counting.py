@@ -52,7 +52,7 @@ SIZES = (
 PLACES = (
     "frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first",
     "row_turn", "row_step", "row_signal", "row_moved", "row_waits", "energy_task", "motor_task", "momentum_task",
-    "stage", "patrol",
+    "stage", "patrol", "copy",
 )  # fmt: skip
 """Where a cycle stands, as bench/driver.c has it."""
 RELEVANT: dict[str, tuple[str, ...]] = {
@@ -60,7 +60,7 @@ RELEVANT: dict[str, tuple[str, ...]] = {
     "impulse": ("joint_turn", "torque_at", "motor_task", "row_turn"),
     "momentum": ("momentum_turn", "momentum_task", "row_turn"),
     "joint": ("row_turn", "row_step", "row_signal", "row_moved", "row_waits"), "noise": ("turn", "torque_at"),
-    "accumulator": ("filled", "first", "energy_task"), "tables": ("patrol",), "handover": (), "frame": ("frames",),
+    "accumulator": ("filled", "first", "energy_task"), "tables": ("patrol",), "handover": ("copy",), "frame": ("frames",),
 }  # fmt: skip
 """On which of them the cost of a stage may depend."""
 REST = ("frames", "row_turn", "energy_task", "motor_task", "momentum_task", "patrol")
@@ -115,7 +115,7 @@ class Count:
 
 
 def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int, int]:
-    """What bench/driver.c wrote: sizes, (n, 18) a kind and a place for each cycle, and rank and validity."""
+    """What bench/driver.c wrote: sizes, (n, 19) a kind and a place for each cycle, and rank and validity."""
     words = np.fromfile(path, dtype="<u4").astype(np.int64)
     body, rank, validity = words[len(SIZES) : -2].reshape(-1, 1 + len(PLACES)), int(words[-2]), int(words[-1])
     return dict(zip(SIZES, words[: len(SIZES)].tolist(), strict=True)), body, rank, validity

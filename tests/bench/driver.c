@@ -56,7 +56,7 @@ typedef struct {
     uint32_t kind, frames, turn, joint_turn, momentum_turn, filled, torque_at, position, first;
     uint32_t row_turn, row_step, row_signal, row_moved, row_waits;
     uint32_t energy_task, motor_task, momentum_task;
-    uint32_t stage, patrol;
+    uint32_t stage, patrol, copy;
 } place_t;
 
 /* The slices that have been added of a buffer behind the one that is filled. */
@@ -156,6 +156,7 @@ static place_t step(uint32_t frames)
         .momentum_task = of_momentum | yields,
         .stage = stage,
         .patrol = patrol,
+        .copy = 2u * loop.handover.kind + ((loop.handover.waited > 0) ? 1u : 0u), /* which copy waits */
     };
 }
 
