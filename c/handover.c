@@ -200,6 +200,16 @@ static void cut_energy(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wor
     work->arc = arm->arc;
 }
 
+/* Whether rows of two buffers are added in the next cycle, beside which a block is not copied where it is large. */
+static bool two_wait(const zygos_accumulator_t *from)
+{
+    uint32_t waiting = 0;
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        waiting += (from->buffer[b].shared < ZYGOS_BUFFER_SLICES) ? 1u : 0u;
+    }
+    return (waiting > 1u) && (from->width > ZYGOS_WIDE);
+}
+
 /* What follows the cut: the other quarters of the open blocks, means and noise of the closing arc, noise of the closed
    ones, and block by block. Returns false behind the last unit. */
 static bool energy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
@@ -216,6 +226,10 @@ static bool energy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wo
         return true;
     }
     const uint32_t unit = quarter - ZYGOS_HANDOVER_QUARTERS;
+    if (two_wait(from) && (self->tries < ZYGOS_HANDOVER_TRIES)) {
+        self->unit--; /* the same unit in a later cycle */
+        return true;
+    }
     if (unit == 0) {
         copy(piece(to->mean, from->mean, width));
         to->scan = from->scan;

@@ -60,10 +60,11 @@ RELEVANT: dict[str, tuple[str, ...]] = {
     "impulse": ("joint_turn", "torque_at", "motor_task", "row_turn"),
     "momentum": ("momentum_turn", "momentum_task", "row_turn"),
     "joint": ("row_turn", "row_step", "row_signal", "row_moved", "row_waits"), "noise": ("turn", "torque_at"),
-    "accumulator": ("filled", "first", "energy_task"), "tables": ("patrol",), "handover": ("copy",), "frame": ("frames",),
+    "accumulator": ("filled", "first", "energy_task"), "tables": ("patrol",),
+    "handover": ("copy",), "frame": ("frames",),
 }  # fmt: skip
 """On which of them the cost of a stage may depend."""
-REST = ("frames", "row_turn", "energy_task", "motor_task", "momentum_task", "patrol")
+REST = ("frames", "row_turn", "energy_task", "motor_task", "momentum_task", "stage", "patrol", "copy")
 """On which of them the rest of a step may depend, which is TOPS themselves."""
 DRIVER = ROOT / "tests" / "bench" / "driver.c"
 

@@ -40,7 +40,7 @@ def footprints(target: str, folder: Path, capacities: tuple[str, ...]) -> dict[s
     folder.mkdir(parents=True, exist_ok=True)
     rooms = sorted((ROOT / "c").glob("*.c"))
     includes = ["-I", str(ROOT / "include")]
-    # functions with the same content stay apart: those that were folded into another one have no stack in the call graph
+    # functions with the same content stay apart: one that was folded into another has no stack in the call graph
     sections = ["-fno-ipa-icf", "-fcallgraph-info=su", "-ffunction-sections", "-fdata-sections"]
     subprocess.run([*compiler, *sections, *capacities, *includes, "-c", *map(str, rooms)], cwd=folder, check=True)
     calls = Calls(folder)
