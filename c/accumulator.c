@@ -1313,13 +1313,14 @@ static bool is_factor(double fade)
 
 bool zygos_accumulator_steady(const zygos_accumulator_t *self)
 {
+    uint32_t parities = self->parity;
     bool good = (self->filling < ZYGOS_ROW_BUFFERS) && (self->filled < (uint32_t)ZYGOS_BUFFER_ROWS) &&
-                (self->parity <= 1u) && (self->task < (uint32_t)ZYGOS_TASKS) && (self->row <= self->width);
+                (self->task < (uint32_t)ZYGOS_TASKS) && (self->row <= self->width);
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        const zygos_row_buffer_t *buffer = &self->buffer[b];
-        good = good && (buffer->shared <= (uint32_t)ZYGOS_BUFFER_SLICES) && (buffer->parity <= 1u);
+        good = good && (self->buffer[b].shared <= (uint32_t)ZYGOS_BUFFER_SLICES);
+        parities |= self->buffer[b].parity;
     }
-    return good;
+    return good && (parities <= 1u);
 }
 
 /* Without blocks there is no segment. Instants and target decide whether blocks merge, and so whether blocks are free.

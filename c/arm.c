@@ -240,17 +240,32 @@ static inline uint32_t places_of(const zygos_arm_t *self)
     return zygos_fold_of_counts_end(fold);
 }
 
-/* Continues a fold with whole words of eight bytes of a struct. */
-static inline uint64_t folded(uint64_t fold, const void *whole, size_t first, size_t bytes)
+/* Exchanges the halves, which costs a core of 32 bits nothing. */
+static inline uint64_t exchanged(uint64_t number)
 {
-    const unsigned char *from = (const unsigned char *)whole + first;
-    fold *= 0x100000001B3u; /* words of two structs that are 64 apart do not cancel either */
-    for (const unsigned char *end = from + bytes; from != end; from += 8) {
-        uint64_t word;
-        __builtin_memcpy(&word, from, sizeof word);
-        fold = zygos_folded(fold, word);
+    return (number << 32u) | (number >> 32u);
+}
+
+static inline uint64_t word_at(const unsigned char *from)
+{
+    uint64_t word;
+    __builtin_memcpy(&word, from, sizeof word);
+    return word;
+}
+
+/* Continues a fold with whole words of eight bytes of a struct, two of them at a time. The factor is odd, so that a
+   flipped bit always changes the product; the top bit, which a product keeps to itself, becomes one in the middle. That
+   is cheaper than a turn for each word, which takes a core of 32 bits four instructions. Inline, because the number of
+   words is known where it is called. */
+__attribute__((always_inline)) static inline uint64_t folded(uint64_t fold, const void *whole, size_t first,
+                                                             size_t bytes)
+{
+    const unsigned char *from = (const unsigned char *)__builtin_assume_aligned(whole, 8) + first;
+    const unsigned char *const pairs = from + (bytes & ~(size_t)15u);
+    for (; from != pairs; from += 16) {
+        fold = exchanged((fold ^ word_at(from) ^ exchanged(word_at(from + 8))) * 0x9E3779B1u);
     }
-    return fold;
+    return ((bytes & 8u) == 0) ? fold : exchanged((fold ^ word_at(from)) * 0x9E3779B1u);
 }
 
 /* From the first to the last of these members of a struct, with what lies between. */
@@ -283,6 +298,9 @@ static uint64_t moving_of(const zygos_arm_t *self)
     if (config->effects > 0) {
         fold = FOLDED(fold, &balance->effects, zygos_effects_t, total, past);
         fold = FOLDED(fold, impulse, zygos_impulse_t, total, before);
+    }
+    if (config->forgetting_factor < 1.0) {
+        fold = FOLDED(fold, self, zygos_arm_t, forgetting, joints_forgetting);
     }
     if (self->ending != 0) {
         fold = folded(fold, self->ended, 0, sizeof self->ended);
@@ -589,7 +607,8 @@ static void proceed_energy(zygos_arm_t *self)
 static void idle(zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->config;
-    const uint32_t parts = share_rows(self);
+    const uint32_t most = share_rows(self);
+    const uint32_t parts = ((self->beside != 0) && (most > 1u)) ? most - 1u : most;
     for (uint32_t part = 0; part < parts; part++) {
         if ((self->motor_sums.task != ZYGOS_MOTOR_NONE) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS)) {
             (void)zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);

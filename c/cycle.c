@@ -36,17 +36,31 @@ static uint32_t behind(uint32_t place)
     return (place == ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
 }
 
-/* A reading for the exclusive or of all, whatever their order, turned by a place of its own (1..63) so that the same
-   bit of two does not cancel. */
-static uint64_t turned(double reading, uint32_t place)
+/* Turned by 1..31 places. For a place that is not known before, a core of 32 bits needs many instructions unless it is
+   told that none is beyond a half. */
+static uint64_t turned(uint64_t bits, uint32_t place)
 {
-    const uint64_t bits = zygos_bits_of(reading);
+    if (sizeof(uintptr_t) == sizeof(uint32_t)) {
+        const uint32_t low = (uint32_t)bits;
+        const uint32_t high = (uint32_t)(bits >> 32u);
+        return ((uint64_t)((high << place) | (low >> (32u - place))) << 32u) |
+               ((low << place) | (high >> (32u - place)));
+    }
     return (bits << place) | (bits >> (64u - place));
 }
 
-static uint64_t turned_joint(double reading, uint32_t kind, uint32_t joint)
+/* The exclusive or of all readings is that of a cycle, whatever their order. Each is turned by a place of its own, so
+   that the same bit of two does not cancel: a rate by 1, 2 or 3, those of a joint by 4, 5 and 6, and by 3 more for each
+   joint before it. These are turned by what they differ in before they are turned together. */
+static uint64_t folded_joint(double q, double theta, double tau)
 {
-    return turned(reading, 4u + 3u * joint + kind);
+    return zygos_bits_of(q) ^ turned(zygos_bits_of(theta), 1u) ^ turned(zygos_bits_of(tau), 2u);
+}
+
+static uint64_t folded_rates(const double *omega)
+{
+    return turned(zygos_bits_of(omega[0]), 1u) ^ turned(zygos_bits_of(omega[1]), 2u) ^
+           turned(zygos_bits_of(omega[2]), 3u);
 }
 
 /* Of what is known when a cycle is complete. */
@@ -65,14 +79,12 @@ const zygos_cycle_t *zygos_receiver_front(const zygos_receiver_t *self)
 bool zygos_receiver_front_is_whole(const zygos_receiver_t *self, const zygos_config_t *config)
 {
     const zygos_cycle_t *cycle = &self->queue.slot[self->queue.tail];
-    uint64_t fold = fold_of_head(cycle);
-    for (uint32_t i = 0; i < config->joints; i++) {
-        fold ^=
-            turned_joint(cycle->q[i], 0, i) ^ turned_joint(cycle->theta[i], 1, i) ^ turned_joint(cycle->tau[i], 2, i);
+    uint64_t fold = 0;
+    for (uint32_t i = config->joints; i > 0; i--) { /* each is turned by 3 for each joint before it */
+        fold = turned(fold, 3u) ^ folded_joint(cycle->q[i - 1u], cycle->theta[i - 1u], cycle->tau[i - 1u]);
     }
-    for (uint32_t i = 0; (i < 3u) && (config->imu_node != 0); i++) {
-        fold ^= turned(cycle->omega[i], 1u + i);
-    }
+    fold = turned(fold, 4u) ^ fold_of_head(cycle);
+    fold ^= (config->imu_node != 0) ? folded_rates(cycle->omega) : 0u;
     return fold == self->queue.fold[self->queue.tail];
 }
 
@@ -120,17 +132,16 @@ static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
     return &self->queue.slot[(head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u];
 }
 
-/* Stores a reading of a joint, and a rate of the gyro, of the open cycle. */
-static void store_joint(zygos_receiver_t *self, double *reading, uint32_t kind, uint32_t joint, double value)
+/* Adds readings of a joint that have been stored, 0 for the others, and stores a rate of the gyro. */
+static void fold_joint(zygos_receiver_t *self, uint32_t joint, uint64_t readings)
 {
-    reading[joint] = value;
-    self->assembly.fold ^= turned_joint(value, kind, joint);
+    self->assembly.fold ^= turned(readings, 4u + 3u * joint);
 }
 
 static void store_rate(zygos_receiver_t *self, uint32_t axis, double rate)
 {
     open_cycle(self)->omega[axis] = rate;
-    self->assembly.fold ^= turned(rate, 1u + axis);
+    self->assembly.fold ^= turned(zygos_bits_of(rate), 1u + axis);
 }
 
 static void push(zygos_receiver_t *self)
@@ -175,7 +186,8 @@ static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
     self->faults.dropped++;
 }
 
-static int reject(zygos_receiver_t *self, uint32_t *fault)
+/* What is rare is not inline, so that a usual frame saves fewer registers. */
+__attribute__((noinline)) static int reject(zygos_receiver_t *self, uint32_t *fault)
 {
     (*fault)++;
     self->status.last_verdict = ZYGOS_REJECTED;
@@ -188,7 +200,7 @@ static int spoil(zygos_receiver_t *self, uint32_t *fault)
     return reject(self, fault);
 }
 
-static int reject_wire(zygos_receiver_t *self, int fault)
+__attribute__((noinline)) static int reject_wire(zygos_receiver_t *self, int fault)
 {
     zygos_faults_t *f = &self->faults;
     return reject(self, (fault == ZYGOS_WIRE_LENGTH) ? &f->length : ((fault == ZYGOS_WIRE_CRC) ? &f->crc : &f->range));
@@ -200,12 +212,12 @@ static int accept(zygos_receiver_t *self)
     return ZYGOS_ACCEPTED;
 }
 
-static int take_sync(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
+__attribute__((noinline)) static int take_sync(zygos_receiver_t *self, const zygos_config_t *config,
+                                               const zygos_frame_t *frame)
 {
-    const int fault = zygos_wire_check(frame, ZYGOS_MSG_SYNC, 0);
     const uint32_t counter = frame->data[0];
-    if (fault != ZYGOS_WIRE_OK) {
-        return reject_wire(self, fault);
+    if ((frame->length != 1u) || (counter < 1u) || (counter > ZYGOS_SYNC_MODULUS)) {
+        return reject_wire(self, zygos_wire_check(frame, ZYGOS_MSG_SYNC, 0));
     }
     zygos_assembly_t *a = &self->assembly;
     if (a->counter != 0) {
@@ -253,7 +265,8 @@ static void catch_up(zygos_receiver_t *self, const zygos_config_t *config, uint3
     a->sync += turns * ZYGOS_SYNC_MODULUS;
 }
 
-static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
+__attribute__((noinline)) static int take_time(zygos_receiver_t *self, const zygos_config_t *config,
+                                               const zygos_frame_t *frame)
 {
     zygos_record_t record;
     const int fault = zygos_wire_decode(frame, ZYGOS_MSG_FTIME, ZYGOS_NODE_COMPUTER, &record);
@@ -312,13 +325,21 @@ static uint32_t *status_fault(zygos_faults_t *faults, uint32_t status)
     return (status & ZYGOS_STATUS_MOTOR_VALID) ? &faults->torque_invalid : &faults->motor_invalid;
 }
 
+/* The code of 24 bits behind a byte. Read with that byte, it is one load where the processor can. */
+static int32_t code_behind(const uint8_t *data)
+{
+    const uint32_t word =
+        (uint32_t)data[0] | ((uint32_t)data[1] << 8u) | ((uint32_t)data[2] << 16u) | ((uint32_t)data[3] << 24u);
+    return (int32_t)((word >> 8u) ^ 0x800000u) - 0x800000;
+}
+
 /* The four that follow store the values of a frame that was checked, or return the counter of what forbids the use of
    the cycle. */
 static uint32_t *take_angles(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const uint8_t *data)
 {
     const uint32_t rigid = config->joint[joint].rigid;
-    const int32_t motor = zygos_wire_i24(data + 5);
-    const int32_t link = rigid ? motor : zygos_wire_i24(data + 2);
+    const int32_t motor = code_behind(data + 4);
+    const int32_t link = rigid ? motor : code_behind(data + 1);
     uint32_t *const fault =
         status_fault(&self->faults, STATUS(data) | (rigid ? (uint32_t)ZYGOS_STATUS_LINK_VALID : 0u));
     if (fault != NULL) {
@@ -331,14 +352,15 @@ static uint32_t *take_angles(zygos_receiver_t *self, const zygos_config_t *confi
         return &self->faults.motor_invalid;
     }
     zygos_cycle_t *cycle = open_cycle(self);
-    store_joint(self, cycle->q, 0, joint, link * ZYGOS_ANGLE_UNIT);
-    store_joint(self, cycle->theta, 1, joint, motor * ZYGOS_ANGLE_UNIT);
+    cycle->q[joint] = link * ZYGOS_ANGLE_UNIT;
+    cycle->theta[joint] = motor * ZYGOS_ANGLE_UNIT;
+    fold_joint(self, joint, folded_joint(link * ZYGOS_ANGLE_UNIT, motor * ZYGOS_ANGLE_UNIT, 0.0));
     return NULL;
 }
 
 static uint32_t *take_torque(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const uint8_t *data)
 {
-    const int32_t torque = zygos_wire_i24(data + 2);
+    const int32_t torque = code_behind(data + 1);
     const int32_t latch_error = (int32_t)zygos_wire_u16(data + 5) - (int32_t)config->joint[joint].latch_us;
     uint32_t *const fault = status_fault(&self->faults, STATUS(data));
     if (fault != NULL) {
@@ -350,14 +372,15 @@ static uint32_t *take_torque(zygos_receiver_t *self, const zygos_config_t *confi
     if ((latch_error > LATCH_TOLERANCE_US) || (latch_error < -LATCH_TOLERANCE_US)) {
         return &self->faults.latch;
     }
-    store_joint(self, open_cycle(self)->tau, 2, joint, torque / ZYGOS_TORQUE_CODES);
+    open_cycle(self)->tau[joint] = torque / ZYGOS_TORQUE_CODES;
+    fold_joint(self, joint, folded_joint(0.0, 0.0, torque / ZYGOS_TORQUE_CODES));
     return NULL;
 }
 
 static uint32_t *take_rates(zygos_receiver_t *self, uint32_t message, const uint8_t *data)
 {
-    const int32_t first = zygos_wire_i24(data + 2);
-    const int32_t second = (message == ZYGOS_MSG_RATE_XY) ? zygos_wire_i24(data + 5) : 0;
+    const int32_t first = code_behind(data + 1);
+    const int32_t second = (message == ZYGOS_MSG_RATE_XY) ? code_behind(data + 4) : 0;
     if (!(STATUS(data) & ZYGOS_STATUS_RATE_VALID)) {
         return &self->faults.gyro_invalid;
     }
@@ -374,7 +397,7 @@ static uint32_t *take_rates(zygos_receiver_t *self, uint32_t message, const uint
     return NULL;
 }
 
-static uint32_t *take_coarse_rates(zygos_receiver_t *self, const uint8_t *data)
+__attribute__((noinline)) static uint32_t *take_coarse_rates(zygos_receiver_t *self, const uint8_t *data)
 {
     if (!(STATUS(data) & ZYGOS_STATUS_RATE_VALID)) {
         return &self->faults.gyro_invalid;
@@ -391,47 +414,91 @@ static uint32_t *take_coarse_rates(zygos_receiver_t *self, const uint8_t *data)
     return NULL;
 }
 
-/* A frame of a joint, or of the gyro (joint = N). */
-static int take(zygos_receiver_t *self, const zygos_config_t *config, uint32_t message, uint32_t joint,
-                const zygos_frame_t *frame)
+/* Whether a frame that has passed zygos_wire_check(), with that result, is of the open cycle and the first with this
+   bit of what a cycle receives. Otherwise it is rejected. */
+static inline bool is_due(zygos_receiver_t *self, const zygos_frame_t *frame, int wire, uint32_t bit)
 {
-    zygos_assembly_t *a = &self->assembly;
-    const uint32_t second = ((message == ZYGOS_MSG_TORQUE) || (message == ZYGOS_MSG_RATE_Z)) ? 1u : 0u;
-    const uint32_t bit = 1u << (2u * joint + second);
+    const zygos_assembly_t *a = &self->assembly;
     const uint32_t counter = frame->data[1] & 0x0Fu;
-    const int wire = zygos_wire_check(frame, message, frame->id & NODE);
     if (wire != ZYGOS_WIRE_OK) {
-        return reject_wire(self, wire);
+        (void)reject_wire(self, wire);
+        return false;
     }
     if (a->counter == 0) {
-        return reject(self, &self->faults.unsynced);
+        (void)reject(self, &self->faults.unsynced);
+        return false;
     }
     if (counter != (a->counter & 0x0Fu)) {
         const bool late = (counter == ((a->counter + 15u) & 0x0Fu));
-        return reject(self, late ? &self->faults.late : &self->faults.counter);
+        (void)reject(self, late ? &self->faults.late : &self->faults.counter);
+        return false;
     }
     if ((a->received & bit) != 0) {
-        return spoil(self, &self->faults.repeated);
+        (void)spoil(self, &self->faults.repeated);
+        return false;
     }
-    uint32_t *fault;
-    if (message == ZYGOS_MSG_ANGLES) {
-        fault = take_angles(self, config, joint, frame->data);
-    } else if (message == ZYGOS_MSG_TORQUE) {
-        fault = take_torque(self, config, joint, frame->data);
-    } else if (message == ZYGOS_MSG_RATE_COARSE) {
-        fault = take_coarse_rates(self, frame->data);
-    } else {
-        fault = take_rates(self, message, frame->data);
+    return true;
+}
+
+/* As zygos_wire_check() for messages of 5 or 8 bytes, which is a call for each of nearly all frames. */
+static inline int check_of(const zygos_frame_t *frame, uint32_t length, uint32_t f)
+{
+    if (frame->length != length) {
+        return ZYGOS_WIRE_LENGTH;
     }
+    const uint32_t node = frame->id & NODE;
+    const uint32_t crc =
+        (length == 8u) ? zygos_wire_crc_of_8(frame->data, f, node) : zygos_wire_crc_of_5(frame->data, f, node);
+    return (frame->data[0] == crc) ? ZYGOS_WIRE_OK : ZYGOS_WIRE_CRC;
+}
+
+/* Ends the reception of a frame whose values were stored, or cannot be used for the fault. */
+static inline int end(zygos_receiver_t *self, uint32_t *fault, uint32_t bit)
+{
     if (fault != NULL) {
         return spoil(self, fault);
     }
-    a->received |= bit;
+    self->assembly.received |= bit;
     return accept(self);
 }
 
+/* A frame of a joint. They are functions of their own, of which each saves few registers. */
+__attribute__((noinline)) static int receive_angles(zygos_receiver_t *self, const zygos_config_t *config,
+                                                    const zygos_frame_t *frame, uint32_t joint)
+{
+    const uint32_t bit = 1u << (2u * joint);
+    return is_due(self, frame, check_of(frame, 8u, 0), bit)
+               ? end(self, take_angles(self, config, joint, frame->data), bit)
+               : ZYGOS_REJECTED;
+}
+
+__attribute__((noinline)) static int receive_torque(zygos_receiver_t *self, const zygos_config_t *config,
+                                                    const zygos_frame_t *frame, uint32_t joint)
+{
+    const uint32_t bit = 2u << (2u * joint);
+    return is_due(self, frame, check_of(frame, 8u, 1u), bit)
+               ? end(self, take_torque(self, config, joint, frame->data), bit)
+               : ZYGOS_REJECTED;
+}
+
+/* A frame of the gyro, whose bits are behind those of n joints. */
+__attribute__((noinline)) static int receive_rates(zygos_receiver_t *self, const zygos_frame_t *frame, uint32_t message,
+                                                   uint32_t n)
+{
+    const uint32_t bit = ((message == ZYGOS_MSG_RATE_Z) ? 2u : 1u) << (2u * n);
+    const int wire = (message == ZYGOS_MSG_RATE_Z) ? check_of(frame, 5u, 2u) : check_of(frame, 8u, 0);
+    if (!is_due(self, frame, wire, bit)) {
+        return ZYGOS_REJECTED;
+    }
+    return end(self,
+               (message == ZYGOS_MSG_RATE_COARSE) ? take_coarse_rates(self, frame->data)
+                                                  : take_rates(self, message, frame->data),
+               bit);
+}
+
 /* The third axis of a fine gyro, where a coarse one is configured: its other frame would pass for a coarse one's. */
-static int take_fine_rate(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
+__attribute__((noinline)) static int take_fine_rate(zygos_receiver_t *self, const zygos_config_t *config,
+                                                    const zygos_frame_t *frame)
 {
     if (zygos_wire_check(frame, ZYGOS_MSG_RATE_Z, config->imu_node) != ZYGOS_WIRE_OK) {
         return ZYGOS_FOREIGN;
@@ -442,39 +509,32 @@ static int take_fine_rate(zygos_receiver_t *self, const zygos_config_t *config, 
     return spoil(self, &self->faults.gyro_invalid);
 }
 
-/* Which message an identifier stands for, and the joint that it is of: N for the gyro. */
-static uint32_t message_of(const zygos_config_t *config, uint32_t id, uint32_t *joint)
+/* A frame of no joint: n is their number. */
+static int receive_other(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame, uint32_t n)
 {
-    const uint32_t n = joints_of(config);
-    const uint32_t node = id & NODE;
-    const uint32_t kind = id - node;
-    uint32_t i = 0;
-    while ((i < n) && (config->joint[i].node != node)) {
-        i++;
+    const uint32_t node = frame->id & NODE;
+    const uint32_t kind = frame->id - node;
+    if (frame->id == ZYGOS_ID_SYNC) {
+        return take_sync(self, config, frame);
     }
-    *joint = i;
-    if (i < n) {
-        return (kind == ZYGOS_ID_TPDO1)   ? ZYGOS_MSG_ANGLES
-               : (kind == ZYGOS_ID_TPDO2) ? ZYGOS_MSG_TORQUE
-                                          : ZYGOS_MSG_FOREIGN;
-    }
-    if (id == ZYGOS_ID_SYNC) {
-        return ZYGOS_MSG_SYNC;
-    }
-    if (id == ZYGOS_ID_TPDO3 + ZYGOS_NODE_COMPUTER) {
-        return ZYGOS_MSG_FTIME;
+    if (frame->id == ZYGOS_ID_TPDO3 + ZYGOS_NODE_COMPUTER) {
+        return take_time(self, config, frame);
     }
     if ((config->imu_node == 0) || (config->imu_node != node)) {
-        return ZYGOS_MSG_FOREIGN;
+        return ZYGOS_FOREIGN;
     }
     if (kind == ZYGOS_ID_TPDO1) {
-        return config->imu_fine ? ZYGOS_MSG_RATE_XY : ZYGOS_MSG_RATE_COARSE;
+        return receive_rates(self, frame, config->imu_fine ? ZYGOS_MSG_RATE_XY : ZYGOS_MSG_RATE_COARSE, n);
     }
-    return (kind == ZYGOS_ID_TPDO3) ? ZYGOS_MSG_RATE_Z : ZYGOS_MSG_FOREIGN;
+    if (kind != ZYGOS_ID_TPDO3) {
+        return ZYGOS_FOREIGN;
+    }
+    return (config->imu_fine == 0) ? take_fine_rate(self, config, frame)
+                                   : receive_rates(self, frame, ZYGOS_MSG_RATE_Z, n);
 }
 
 /* A frame that is no classical data frame with a base identifier. */
-static int take_unusual(zygos_receiver_t *self, const zygos_frame_t *frame)
+__attribute__((noinline)) static int take_unusual(zygos_receiver_t *self, const zygos_frame_t *frame)
 {
     if ((frame->flags & ZYGOS_FRAME_ERROR) == 0) {
         return ZYGOS_FOREIGN;
@@ -491,21 +551,17 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     if (frame->flags & unusual) {
         return take_unusual(self, frame);
     }
-    uint32_t joint;
-    const uint32_t message = message_of(config, frame->id, &joint);
-    if (message == ZYGOS_MSG_FOREIGN) {
-        return ZYGOS_FOREIGN;
+    const uint32_t n = joints_of(config);
+    const uint32_t node = frame->id & NODE;
+    const uint32_t kind = frame->id - node;
+    for (uint32_t i = 0; i < n; i++) {
+        if (config->joint[i].node == node) {
+            return (kind == ZYGOS_ID_TPDO1)   ? receive_angles(self, config, frame, i)
+                   : (kind == ZYGOS_ID_TPDO2) ? receive_torque(self, config, frame, i)
+                                              : ZYGOS_FOREIGN;
+        }
     }
-    if (message == ZYGOS_MSG_SYNC) {
-        return take_sync(self, config, frame);
-    }
-    if (message == ZYGOS_MSG_FTIME) {
-        return take_time(self, config, frame);
-    }
-    if ((message == ZYGOS_MSG_RATE_Z) && (config->imu_fine == 0)) {
-        return take_fine_rate(self, config, frame);
-    }
-    return take(self, config, message, joint, frame);
+    return receive_other(self, config, frame, n);
 }
 
 int zygos_cycle_wrapped(const zygos_previous_cycle_t *previous, const zygos_config_t *config,

@@ -28,9 +28,22 @@ static piece_t piece(void *to, const void *from, uint32_t words)
     return out;
 }
 
+/* Eight words at a time: memcpy() of a library for small cores moves four bytes at a time, because it does not know
+   that these are aligned. */
 static void copy(piece_t what)
 {
-    memcpy(what.to, what.from, (size_t)what.words * WORD);
+    unsigned char *to = __builtin_assume_aligned(what.to, WORD);
+    const unsigned char *from = __builtin_assume_aligned(what.from, WORD);
+    const unsigned char *const end = from + (size_t)what.words * WORD;
+    for (const unsigned char *const eights = from + (size_t)(what.words & ~7u) * WORD; from != eights;) {
+        __builtin_memcpy(to, from, 8u * WORD);
+        to += 8u * WORD;
+        from += 8u * WORD;
+    }
+    for (; from != end; from += WORD) {
+        __builtin_memcpy(to, from, WORD);
+        to += WORD;
+    }
 }
 
 static uint32_t least(uint32_t a, uint32_t b)
@@ -83,30 +96,105 @@ static void copy_noise(const zygos_noise_sums_t *from, zygos_noise_sums_t *to, u
     copy(piece(to->sum, from->sum, width));
 }
 
-/* With no rows in the buffer that is filled, the fewest have to be copied. */
+/* Slices of a buffer that a cycle adds to blocks, at the most (zygos_accumulator_add()). */
+#define MOST_SLICES 3u
+_Static_assert(MOST_SLICES *ZYGOS_HANDOVER_QUARTERS <= ZYGOS_BUFFER_SLICES,
+               "rows of a block are copied before rows that wait are added to them");
+_Static_assert(ZYGOS_HANDOVER_QUARTERS < ZYGOS_BUFFER_ROWS, "no other buffer is added to the blocks in this time");
+
+/* With no rows in the buffer that is filled, the fewest have to be copied. None of another buffer is half added, and
+   the next arc finds cleared blocks although tasks wait from here on. */
 static bool suits_energy(const zygos_accumulator_t *from)
 {
-    return (from->filled == 0) || (from->count == from->fresh);
+    bool good = (from->filled == 0) && (from->ready >= ZYGOS_SPARE_BLOCKS);
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        const uint32_t shared = from->buffer[b].shared;
+        good = good && ((shared == 0) || (shared == ZYGOS_BUFFER_SLICES));
+    }
+    return good;
+}
+
+/* The blocks to which rows are being added, or are going to be. Returns their number. */
+#define MOST_OPEN (2u * ZYGOS_ROW_BUFFERS + 2u)
+static uint32_t open_blocks(const zygos_accumulator_t *sums, uint32_t *place)
+{
+    uint32_t found[MOST_OPEN];
+    uint32_t n = 0;
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        if (sums->buffer[b].shared < ZYGOS_BUFFER_SLICES) {
+            found[n++] = sums->buffer[b].places & 0xFFu;
+            found[n++] = (sums->buffer[b].places >> 8u) & 0xFFu;
+        }
+    }
+    for (uint32_t newest = 1; newest <= 2u; newest++) {
+        if ((sums->count >= sums->fresh + newest) && (sums->count <= (uint32_t)ZYGOS_MAX_BLOCKS)) {
+            found[n++] = sums->order[sums->count - newest];
+        }
+    }
+    uint32_t kept = 0;
+    for (uint32_t i = 0; i < n; i++) {
+        bool known = (found[i] >= (uint32_t)ZYGOS_MAX_BLOCKS);
+        for (uint32_t j = 0; j < kept; j++) {
+            known = known || (place[j] == found[i]);
+        }
+        if (!known) {
+            place[kept++] = found[i];
+        }
+    }
+    return kept;
+}
+
+/* The first row that the quarters before this one do not contain. No quarter has fewer rows than what is added in a
+   cycle, for which the number of rows is found in the same way. */
+static uint32_t quarter_begins(uint32_t width, uint32_t quarter)
+{
+    const uint32_t most = zygos_gram_entries(width) * (ZYGOS_BUFFER_SLICES / ZYGOS_HANDOVER_QUARTERS) * quarter;
+    uint32_t row = 0;
+    while ((row < width) && (ZYGOS_BUFFER_SLICES / 2u * (row + 1u) * (row + 1u) <= most)) {
+        row++;
+    }
+    return (quarter >= ZYGOS_HANDOVER_QUARTERS) ? width : row;
+}
+
+/* Copies the rows of a quarter of the open blocks. Which these are, the cut has copied. */
+static void copy_quarter(const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t quarter)
+{
+    uint32_t place[MOST_OPEN];
+    const uint32_t n = open_blocks(to, place);
+    const uint32_t first = quarter_begins(energy_width(from), quarter);
+    const uint32_t end = quarter_begins(energy_width(from), quarter + 1u);
+    const uint32_t entry = zygos_gram_entries(first);
+    for (uint32_t i = 0; i < n; i++) {
+        const zygos_block_t *block = &from->block[place[i]];
+        zygos_block_t *copied = &to->block[place[i]];
+        copy(piece(&copied->gram[entry], &block->gram[entry], zygos_gram_entries(end) - entry));
+        copy(piece(&copied->sum[first], &block->sum[first], end - first));
+    }
 }
 
 static void cut_energy(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_accumulator_t *from = &arm->accumulator;
     zygos_accumulator_t *to = &work->accumulator;
+    uint32_t place[MOST_OPEN];
     memset(self->apart, 0, sizeof self->apart);
     copy(SPAN(to, from, zygos_accumulator_t, width, mean));
     memcpy(to->order, from->order, sizeof to->order);
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         cut_buffer(from, to, b);
-        if (from->buffer[b].shared < ZYGOS_BUFFER_SLICES) {
-            cut_block(self, from, to, from->buffer[b].places & 0xFFu);
-            cut_block(self, from, to, (from->buffer[b].places >> 8u) & 0xFFu);
+    }
+    self->whole = suits_energy(from) ? 0u : 1u;
+    const uint32_t n = open_blocks(from, place);
+    for (uint32_t i = 0; i < n; i++) {
+        if (self->whole != 0) {
+            cut_block(self, from, to, place[i]);
+        } else {
+            copy(REST(&to->block[place[i]], &from->block[place[i]], zygos_block_t, instants));
+            self->apart[place[i]] = 1;
         }
     }
-    for (uint32_t newest = 1; newest <= 2u; newest++) {
-        if ((from->count >= from->fresh + newest) && (from->count <= (uint32_t)ZYGOS_MAX_BLOCKS)) {
-            cut_block(self, from, to, from->order[from->count - newest]);
-        }
+    if (self->whole == 0) {
+        copy_quarter(from, to, 0);
     }
     if (from->noisy != 0) {
         copy_noise(&from->noise_open[from->parity & 1u], &to->noise_open[from->parity & 1u], energy_width(from) - 1u);
@@ -114,22 +202,44 @@ static void cut_energy(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wor
     work->arc = arm->arc;
 }
 
-/* What follows the cut: means and noise of the closing arc, noise of the closed ones, and block by block. Returns false
-   behind the last unit. */
+/* Whether rows of two buffers are added in the next cycle, beside which a block is not copied where it is large. */
+static bool two_wait(const zygos_accumulator_t *from)
+{
+    uint32_t waiting = 0;
+    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
+        waiting += (from->buffer[b].shared < ZYGOS_BUFFER_SLICES) ? 1u : 0u;
+    }
+    return (waiting > 1u) && (from->width > ZYGOS_WIDE);
+}
+
+/* What follows the cut: the other quarters of the open blocks, means and noise of the closing arc, noise of the closed
+   ones, and block by block. Returns false behind the last unit. */
 static bool energy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_accumulator_t *from = &arm->accumulator;
     zygos_accumulator_t *to = &work->accumulator;
     const uint32_t width = energy_width(from);
     const uint32_t closing = (to->parity & 1u) ^ 1u;
-    if (self->unit == 0) {
+    const uint32_t quarter = self->unit + 1u;
+    if (quarter < ZYGOS_HANDOVER_QUARTERS) {
+        if (self->whole == 0) {
+            copy_quarter(from, to, quarter);
+        }
+        return true;
+    }
+    const uint32_t unit = quarter - ZYGOS_HANDOVER_QUARTERS;
+    if (two_wait(from) && (self->tries < ZYGOS_HANDOVER_TRIES)) {
+        self->unit--; /* the same unit in a later cycle */
+        return true;
+    }
+    if (unit == 0) {
         copy(piece(to->mean, from->mean, width));
         to->scan = from->scan;
         copy_noise(&from->noise_open[closing], &to->noise_open[closing], width - 1u);
-    } else if (self->unit == 1u) {
+    } else if (unit == 1u) {
         copy_noise(&from->noise_closed, &to->noise_closed, width - 1u);
-    } else if (self->unit - 2u < least(to->count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
-        cut_block(self, from, to, to->order[self->unit - 2u]);
+    } else if (unit - 2u < least(to->count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
+        cut_block(self, from, to, to->order[unit - 2u]);
     } else {
         return false;
     }
@@ -339,7 +449,8 @@ static bool suits(const zygos_arm_t *arm, uint32_t kind)
 {
     const zygos_config_t *config = &arm->config;
     if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        return suits_energy(&arm->accumulator) && has_time(arm->accumulator.count + 2u, arm->arc, config->arc_cycles);
+        return suits_energy(&arm->accumulator) &&
+               has_time(arm->accumulator.count + 2u + ZYGOS_HANDOVER_QUARTERS, arm->arc, config->arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
         return has_time(arm->motor_sums.count + 1u, arm->motor_sums.cycles, config->impulse_arc_cycles);
@@ -355,7 +466,7 @@ static uint32_t fold_of(const zygos_handover_t *self)
 {
     uint32_t fold = zygos_folded_count(self->kind, self->cut);
     fold = zygos_folded_count(zygos_folded_count(fold, self->unit), self->waited);
-    fold = zygos_folded_count(fold, self->tries);
+    fold = zygos_folded_count(zygos_folded_count(fold, self->tries), self->whole);
     uint64_t all = zygos_folded(fold, self->dropped);
     for (uint32_t at = 0; at < (uint32_t)sizeof self->apart; at += WORD) {
         uint64_t word;
@@ -407,6 +518,7 @@ static void cut(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *wo
         cut_ending(arm, work, self->kind);
     }
     self->cut = 1;
+    self->waited = 0;
     self->unit = 0;
     self->dropped = arm->dropped;
 }
@@ -428,20 +540,33 @@ static bool copy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work
     }
 }
 
+/* Whether the blocks of the open arc have been copied, so that it may end where it is short, and be dropped. */
+static bool has_open_blocks(const zygos_handover_t *self, const zygos_accumulator_t *to)
+{
+    return (to->count <= to->fresh + 2u) && ((self->whole != 0) || (self->unit + 1u >= ZYGOS_HANDOVER_QUARTERS));
+}
+
+/* Whether blocks of energy rows that are still to be copied have changed. */
+static bool is_disturbed_energy(const zygos_handover_t *self, const zygos_accumulator_t *from,
+                                const zygos_accumulator_t *to)
+{
+    const bool may_end = has_open_blocks(self, to);
+    const uint32_t needed = may_end ? to->fresh : to->count;
+    bool disturbed = (from->open != to->open) || (!may_end && (from->fresh != to->fresh)) || (from->count < needed);
+    for (uint32_t r = 0; (r < needed) && (r < (uint32_t)ZYGOS_MAX_BLOCKS); r++) {
+        disturbed = disturbed || (from->order[r] != to->order[r]);
+    }
+    return disturbed;
+}
+
 /* Whether something that was to rest has changed since the cut: sums were dropped, or, where there was no block for the
    open arc, blocks were merged at once; a segment of joint rows has ended. */
 static bool is_disturbed(const zygos_handover_t *self, const zygos_arm_t *arm, const zygos_work_t *work)
 {
-    bool disturbed = (arm->dropped != self->dropped);
-    if (self->kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        const zygos_accumulator_t *from = &arm->accumulator;
-        const zygos_accumulator_t *to = &work->accumulator;
-        disturbed = disturbed || (from->open != to->open) || (from->fresh != to->fresh) || (from->count < to->count);
-        for (uint32_t r = 0; (r < to->count) && (r < (uint32_t)ZYGOS_MAX_BLOCKS); r++) {
-            disturbed = disturbed || (from->order[r] != to->order[r]);
-        }
-    }
-    return disturbed || ((self->kind == ZYGOS_JOINT_KIND) && (arm->joint_sums.end != work->joint_sums.end));
+    return (arm->dropped != self->dropped) ||
+           ((self->kind == (uint32_t)ZYGOS_ENERGY_ROWS) &&
+            is_disturbed_energy(self, &arm->accumulator, &work->accumulator)) ||
+           ((self->kind == ZYGOS_JOINT_KIND) && (arm->joint_sums.end != work->joint_sums.end));
 }
 
 static void next_kind(zygos_handover_t *self)

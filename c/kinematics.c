@@ -1,5 +1,7 @@
 #include "zygos/priv/kinematics.h"
 
+#include "zygos/priv/gram.h"
+
 #include <string.h>
 
 /* Cody-Waite: pi/2 in three parts of 33, 33 and 53 bits, so that quadrant * part is exact for the first two. */
@@ -13,8 +15,7 @@ void zygos_sincos(double angle, double *sine, double *cosine)
     /* Adding 1.5 * 2^52 rounds to the nearest integer; the low bits of the sum are the quadrant. */
     const double magic = 6755399441055744.0;
     const double shifted = angle * TWO_OVER_PI + magic;
-    uint64_t bits;
-    memcpy(&bits, &shifted, sizeof bits);
+    const uint64_t bits = zygos_bits_of(shifted);
     const double quadrant = shifted - magic;
 
     /* angle - quadrant * pi/2 as r + tail, |r| <= pi/4 and a little. */

@@ -194,6 +194,9 @@ static bool is_of_closing_arc(uint32_t task)
 
 bool zygos_momentum_sums_steady(const zygos_momentum_sums_t *self)
 {
+    if (ZYGOS_MOMENTUM == 0) { /* there is never a task, nor a block */
+        return (self->task | self->row | self->place | self->count | self->parity | self->closing_cycles) == 0;
+    }
     return (self->task < ((self->columns > 0) ? (uint32_t)ZYGOS_MOMENTUM_TASKS : 1u)) &&
            (self->row <= width_of(self)) && (self->place < (uint32_t)ZYGOS_MOMENTUM_PLACES) &&
            (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) &&

@@ -3,7 +3,7 @@
 #include <string.h>
 
 /* x^8 + x^5 + x^3 + x^2 + x + 1 (0x2F), most significant bit first. */
-static const uint8_t crc_table[256] = {
+const uint8_t zygos_wire_crc_table[256] = {
     0x00, 0x2F, 0x5E, 0x71, 0xBC, 0x93, 0xE2, 0xCD, 0x57, 0x78, 0x09, 0x26, 0xEB, 0xC4, 0xB5, 0x9A, 0xAE, 0x81, 0xF0,
     0xDF, 0x12, 0x3D, 0x4C, 0x63, 0xF9, 0xD6, 0xA7, 0x88, 0x45, 0x6A, 0x1B, 0x34, 0x73, 0x5C, 0x2D, 0x02, 0xCF, 0xE0,
     0x91, 0xBE, 0x24, 0x0B, 0x7A, 0x55, 0x98, 0xB7, 0xC6, 0xE9, 0xDD, 0xF2, 0x83, 0xAC, 0x61, 0x4E, 0x3F, 0x10, 0x8A,
@@ -22,24 +22,14 @@ static const uint8_t crc_table[256] = {
 
 static inline uint8_t crc_of(const uint8_t *data, uint32_t length, uint32_t f, uint32_t node)
 {
-    uint32_t crc = 0xFFu;
     if (length == 8) {
-        /* Nearly all frames: without a loop they cost half. */
-        crc = crc_table[crc ^ data[1]];
-        crc = crc_table[crc ^ data[2]];
-        crc = crc_table[crc ^ data[3]];
-        crc = crc_table[crc ^ data[4]];
-        crc = crc_table[crc ^ data[5]];
-        crc = crc_table[crc ^ data[6]];
-        crc = crc_table[crc ^ data[7]];
-    } else {
-        for (uint32_t i = 1; i < length; i++) {
-            crc = crc_table[crc ^ data[i]];
-        }
+        return (uint8_t)zygos_wire_crc_of_8(data, f, node);
     }
-    const uint32_t id = 32u * f + node + 17u * (data[1] & 0x0Fu);
-    crc = crc_table[crc ^ ((id < 251u) ? id : id - 251u)];
-    return (uint8_t)(crc ^ 0xFFu);
+    uint32_t crc = 0xFFu;
+    for (uint32_t i = 1; i < length; i++) {
+        crc = zygos_wire_crc_table[crc ^ data[i]];
+    }
+    return (uint8_t)zygos_wire_crc_end(crc, data, f, node);
 }
 
 uint8_t zygos_wire_crc(const uint8_t *data, uint32_t length, uint32_t f, uint32_t node)

@@ -159,10 +159,22 @@ static zygos_refine_t *refine_of(const zygos_given_t *given)
     return (zygos_refine_t *)given->refine;
 }
 
-static bool is_same(const zygos_given_t *a, const zygos_given_t *b)
+/* Whether the three copies are the same, which is nearly always so. The members are compared one by one, because a
+   struct of them has a padding on some processors. */
+static bool agree(const zygos_t *self)
 {
-    return ((a->config ^ b->config) | (a->memory ^ b->memory) | (a->refine ^ b->refine) |
-            (uintptr_t)((a->background ^ b->background) | (a->nodes ^ b->nodes) | (a->slices ^ b->slices))) == 0;
+    const zygos_given_t *a = &self->given[0];
+    const zygos_given_t *b = &self->given[1];
+    const zygos_given_t *c = &self->given[2];
+    const uint32_t twice = 2u * TURN;
+    const uintptr_t pointers = (turned(a->config, TURN) ^ b->config) | (turned(a->config, twice) ^ c->config) |
+                               (turned(a->memory, TURN) ^ b->memory) | (turned(a->memory, twice) ^ c->memory) |
+                               (turned(a->refine, TURN) ^ b->refine) | (turned(a->refine, twice) ^ c->refine);
+    const uint32_t words = (turned_word(a->background, TURN) ^ b->background) |
+                           (turned_word(a->background, twice) ^ c->background) |
+                           (turned_word(a->nodes, TURN) ^ b->nodes) | (turned_word(a->nodes, twice) ^ c->nodes) |
+                           (turned_word(a->slices, TURN) ^ b->slices) | (turned_word(a->slices, twice) ^ c->slices);
+    return (pointers | (uintptr_t)words) == 0;
 }
 
 /* One flipped bit of the magic number is none. */
@@ -268,13 +280,16 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     if ((self == NULL) || (frame == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if (!is_begun(self)) {
+    if ((self->magic != ZYGOS_BEGUN) && !is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    const uint32_t nodes = nodes_given_to(self);
+    uint32_t nodes = self->given[0].nodes;
+    if (turned_word(nodes, TURN) != self->given[1].nodes) { /* two that are equal are what two of three say */
+        nodes = nodes_given_to(self);
+    }
     const uint32_t node = frame->id & 0x7Fu;
-    const bool own = (frame->flags != 0) || (frame->id == ZYGOS_ID_SYNC) || (node == ZYGOS_NODE_COMPUTER) ||
-                     ((node < 32u) && (((nodes >> node) & 1u) != 0));
+    const bool own = ((node < 32u) && (((nodes >> node) & 1u) != 0)) || (frame->id == ZYGOS_ID_SYNC) ||
+                     (node == ZYGOS_NODE_COMPUTER) || (frame->flags != 0);
     if (!own) {
         return 0;
     }
@@ -322,31 +337,30 @@ static int mend(zygos_t *self, const zygos_given_t *given)
 
 /* ---------------------------------------------------------------- the task */
 
-/* Places that memory errors have moved apart lose what waits. */
-static uint32_t waiting(zygos_t *self)
+/* Whether a complete cycle waits. */
+static bool is_complete(const zygos_receiver_t *receiver)
 {
-    const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_ACQUIRE);
-    if (head - self->tail > (uint32_t)ZYGOS_RING) {
-        __atomic_store_n(&self->tail, head, __ATOMIC_RELEASE);
-    }
-    return head - self->tail;
+    return receiver->queue.head != receiver->queue.tail;
 }
 
-/* Decodes frames until a cycle is complete. Returns false where memory was changed. */
+/* Decodes frames until a cycle is complete, or all. Places that memory errors have moved apart lose what waits. The
+   receiver accesses nothing outside itself, whatever its places are: these are checked once, behind the last frame.
+   Returns false where memory was changed. */
 static bool decode(zygos_t *self, bool all)
 {
-    bool good = zygos_receiver_intact(&self->state.receiver);
-    for (uint32_t left = waiting(self); (left > 0) && good; left--) {
-        if (!all && (zygos_receiver_front(&self->state.receiver) != NULL)) {
-            return true;
-        }
-        good = (zygos_arm_frame(&self->state, &self->ring[self->tail % (uint32_t)ZYGOS_RING]) >= 0);
-        __atomic_store_n(&self->tail, self->tail + 1u, __ATOMIC_RELEASE);
+    zygos_receiver_t *receiver = &self->state.receiver;
+    const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_ACQUIRE);
+    uint32_t tail = (head - self->tail > (uint32_t)ZYGOS_RING) ? head : self->tail;
+    for (; (tail != head) && (all || !is_complete(receiver)); tail++) {
+        (void)zygos_receiver_frame(receiver, &self->state.config, &self->ring[tail % (uint32_t)ZYGOS_RING]);
     }
+    __atomic_store_n(&self->tail, tail, __ATOMIC_RELEASE);
     const uint32_t lost = __atomic_load_n(&self->overrun, __ATOMIC_RELAXED);
-    self->state.receiver.faults.overrun += lost - self->overrun_counted;
-    self->overrun_counted = lost;
-    return good && zygos_receiver_intact(&self->state.receiver);
+    if (lost != self->overrun_counted) {
+        receiver->faults.overrun += lost - self->overrun_counted;
+        self->overrun_counted = lost;
+    }
+    return zygos_receiver_intact(receiver);
 }
 
 /* A comparison with the adopted estimate should not begin with one and end with another. */
@@ -486,7 +500,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         self->copied++;
         const bool done = zygos_handover_part(&self->handover, &self->state, &background->work);
         self->state.held = zygos_handover_held(&self->handover);
-        self->state.beside = 1;
+        self->state.beside = (self->handover.waited == 0) ? 1u : 0u; /* tasks proceed while the copy waits */
         if (!done || !is_verified(self, given, background->work.cycle)) {
             return;
         }
@@ -526,13 +540,10 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
     return true;
 }
 
-/* The cycle that waits, and the slices of the refinement. */
+/* The cycle that waits, and the slices of the refinement, where there is one. */
 static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_t *cycle)
 {
     zygos_refine_t *task = refine_of(given);
-    if (task == NULL) {
-        return;
-    }
     int done = (cycle != NULL) ? zygos_refine_cycle(task, cycle) : 1;
     if (is_set(self->refining)) {
         return; /* the background begins it */
@@ -549,20 +560,18 @@ static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_
     }
 }
 
-/* Repairs what a flipped bit has changed of what was given, and returns it. */
-static zygos_given_t prepare(zygos_t *self)
+/* Repairs what a flipped bit has changed of what was given, and of the magic number. Returns what was given, in the
+   copy that is not turned. */
+static const zygos_given_t *prepare(zygos_t *self)
 {
-    const zygos_given_t given = given_to(self);
-    for (uint32_t k = 0; k < 3u; k++) { /* the others read this at any time: nothing is written where nothing flipped */
-        const zygos_given_t right = copy_of(&given, k);
-        if (!is_same(&self->given[k], &right)) {
-            self->given[k] = right;
-        }
+    if (!agree(self)) {
+        const zygos_given_t given = given_to(self);
+        give(self, &given); /* the others read these at any time: nothing is written where nothing flipped */
     }
     if (self->magic != ZYGOS_BEGUN) {
         self->magic = ZYGOS_BEGUN;
     }
-    return given;
+    return &self->given[0];
 }
 
 int zygos_step(zygos_t *self)
@@ -570,32 +579,34 @@ int zygos_step(zygos_t *self)
     if (self == NULL) {
         return ZYGOS_E_NULL;
     }
-    if (!is_begun(self)) {
+    if ((self->magic != ZYGOS_BEGUN) && !is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    const zygos_given_t given = prepare(self);
-    int mended = decode(self, false) ? 0 : mend(self, &given);
+    const zygos_given_t *given = prepare(self);
+    int mended = decode(self, false) ? 0 : mend(self, given);
     if (mended < 0) {
         return mended;
     }
     /* Estimates depend on the cycles alone, and not on how often this is called, unless the bus is silent. */
-    const bool waits = (zygos_receiver_front(&self->state.receiver) != NULL);
+    const bool waits = is_complete(&self->state.receiver);
     self->quiet = waits ? 0u : self->quiet + 1u;
-    if ((waits || (self->quiet > PATIENCE)) && !attend(self, &given)) {
+    if ((waits || (self->quiet > PATIENCE)) && !attend(self, given)) {
         return 0;
     }
     if (!waits) {
         self->quiet = (self->quiet > PATIENCE) ? PATIENCE : self->quiet;
         return 0;
     }
-    mended = patrol(self, &given);
+    mended = patrol(self, given);
     if (mended < 0) {
         return mended;
     }
-    refine(self, &given, zygos_receiver_front(&self->state.receiver));
+    if (given->refine != 0) {
+        refine(self, given, zygos_receiver_front(&self->state.receiver));
+    }
     int stepped = zygos_arm_step(&self->state);
     if (stepped < 0) {
-        mended = mend(self, &given);
+        mended = mend(self, given);
         stepped = (mended < 0) ? mended : zygos_arm_step(&self->state);
     }
     return stepped;
@@ -609,17 +620,19 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    const zygos_given_t given = prepare(self);
-    if (!attend(self, &given)) {
+    const zygos_given_t *given = prepare(self);
+    if (!attend(self, given)) {
         return 0;
     }
-    int mended = patrol(self, &given);
+    int mended = patrol(self, given);
     int stepped = (mended < 0) ? mended : zygos_arm_cycle(&self->state, cycle);
     if ((stepped < 0) && (mended >= 0)) {
-        mended = mend(self, &given);
+        mended = mend(self, given);
         stepped = (mended < 0) ? mended : zygos_arm_cycle(&self->state, cycle);
     }
-    refine(self, &given, (stepped > 0) ? cycle : NULL);
+    if (given->refine != 0) {
+        refine(self, given, (stepped > 0) ? cycle : NULL);
+    }
     return stepped;
 }
 

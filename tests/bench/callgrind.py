@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.counting import DRIVER, FOLDED, STAGES, WHOLE, Count, Tally, joined
+from bench.counting import DRIVER, ENTRIES, FOLDED, MARKS, STAGES, TOPS, Count, Tally, joined
 from conftest import ROOT, house_flags
 from zygos.errors import ZygosError
 
@@ -21,7 +21,7 @@ NO_STRING_INSTRUCTIONS = "glibc.cpu.x86_rep_movsb_threshold=1000000000:glibc.cpu
 """With these, memcpy() and memset() of glibc work by vectors at any size. Of `rep movsb`, which is one instruction of
 the processor, callgrind counts every byte."""
 ENVIRONMENT = {**os.environ, "GLIBC_TUNABLES": NO_STRING_INSTRUCTIONS}
-_WATCHED = [f"--toggle-collect=zygos_{one}" for one in ("frame", "step", "solve")]
+_WATCHED = [f"--toggle-collect={entry}" for entry in ENTRIES.values()]
 
 
 def build(folder: Path, capacities: tuple[str, ...], library: Sequence[Path] = ()) -> Path:
@@ -70,7 +70,7 @@ class Part:
     def call(self, caller: str, room: str, callee_room: str, cost: int) -> None:
         """Book a call of a function of one file from another, and all that it cost."""
         self.total[caller] += cost
-        if room == "zygos":
+        if room in TOPS:
             self.stages[callee_room] += cost
         elif (room, callee_room) == ("cycle", "wire"):
             self.stages["wire"] += cost
@@ -83,9 +83,8 @@ class Part:
 
     def stage(self, name: str) -> int:
         """Instructions of a stage."""
-        if name in WHOLE or name == "solver":
-            return self.of(f"zygos_{'solve' if name == 'solver' else name}")
-        return self.stages[name]
+        entry = ENTRIES.get("solve" if name == "solver" else name)
+        return self.of(entry) if entry else self.stages[name]
 
 
 def parts(path: Path) -> Iterator[Part]:
@@ -132,14 +131,15 @@ def parts(path: Path) -> Iterator[Part]:
 
 
 def tally_of(path: Path) -> Tally:
-    """Of each part, which is a cycle, and of the last one, in which the solution is."""
+    """Of the first part of each cycle, and of the last part of all, in which the solution is."""
     stages: list[list[int]] = []
     functions: dict[str, dict[int, int]] = defaultdict(dict)
     last = Part()
     for number, part in enumerate(parts(path)):
-        stages.append([part.stage(stage) for stage in STAGES])
-        for name, cost in part.own.items():
-            functions[name][number] = cost
+        if number % MARKS == 0:
+            stages.append([part.stage(stage) for stage in STAGES])
+            for name, cost in part.own.items():
+                functions[name][number // MARKS] = cost
         last = part
     count = len(stages) - 1
     calls = {name: np.zeros(count + 1, dtype=np.int64) for name in functions}

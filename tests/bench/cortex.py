@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.counting import DRIVER, FOLDED, STAGES, Count, Tally, joined
+from bench.counting import DRIVER, ENTRIES, FOLDED, MARKS, STAGES, TOPS, Count, Tally, joined
 from conftest import ROOT, tool_module
 from zygos.errors import ZygosError
 
@@ -31,7 +31,7 @@ def count(target: str, folder: Path) -> Count:
     """Run folder/driver.elf on folder/run.bin and count. Errors: ZygosError without QEMU, or what the program says."""
     names = write_symbols(folder / "driver.elf", folder / "symbols.txt")
     parts = run(target, folder / "driver.elf", folder).reshape(-1, len(STAGES) + len(names))
-    cycles, last = parts[:-1], parts[-1]
+    cycles, last = parts[:-1:MARKS], parts[-1]
     ran = {name: cycles[:, len(STAGES) + k] for k, name in enumerate(names) if cycles[:, len(STAGES) + k].any()}
     tally = Tally(cycles[:, : len(STAGES)], ran, int(last[STAGES.index("solve")]))
     return joined(tally, folder, "QEMU")
@@ -59,16 +59,15 @@ def write_symbols(elf: Path, path: Path) -> list[str]:
         ["arm-none-eabi-nm", "-n", "-l", "--defined-only", str(elf)], capture_output=True, text=True, check=True
     ).stdout
     found: dict[int, tuple[str, str]] = {}
+    phases = {entry: STAGES.index(stage) for stage, entry in ENTRIES.items()}
+    phases["zygos_refine_step"] = phases["zygos_step"]  # in bench/refine.c, which has no loop
     for address, name, file in re.findall(r"^([0-9a-f]+) [TtWw] (\S+)(?:\t(.*):\d+)?$", listing, re.M):
         found.setdefault(int(address, 16), (name, file))
     ends = [*list(found)[1:], max(found) + 0x10000]
     lines, names = [f"{len(STAGES)} {STAGES.index('cycle')} {STAGES.index('wire')}"], []
     for (address, (name, file)), end in zip(found.items(), ends, strict=True):
         room = _room(file)
-        whole = name.removeprefix("zygos_")
-        phase = STAGES.index(whole) if name in ("zygos_arm_frame", "zygos_arm_step", "zygos_work_solve") else -1
-        phase = STAGES.index("step") if name == "zygos_refine_step" else phase
-        lines.append(f"{address:x} {end - address} {room} {phase} {int(name == 'driver_mark')}")
+        lines.append(f"{address:x} {end - address} {room} {phases.get(name, -1)} {int(name == 'driver_mark')}")
         names.append(f"{Path(file).stem or '???'}: {name}")
     path.write_text("\n".join(lines) + "\n")
     return names
@@ -79,6 +78,6 @@ def _room(file: str) -> int:
     path = Path(file)
     if path.parent == ROOT / "c":
         room = FOLDED.get(path.stem, path.stem)
-        return _TOP if room == "zygos" else STAGES.index(room) if room in STAGES else _RUNTIME
+        return _TOP if room in TOPS else STAGES.index(room) if room in STAGES else _RUNTIME
     # the port's soft double is the compiler's runtime, too
     return _OUTSIDE if path.is_relative_to(ROOT) and path.stem != "addition" else _RUNTIME

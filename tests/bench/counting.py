@@ -23,26 +23,36 @@ ROOMS = (
     "joint",
     "noise",
     "accumulator",
+    "tables",
+    "handover",
     "solver",
 )
-"""In the order in which a sample walks through them. What one costs is counted from c/zygos.c calling a function of its
-file until that returns; of `cycle`, which calls it, `wire` is taken off. Rooms and c/zygos.c itself add up to all."""
+"""In the order in which a sample walks through them, then what verifies tables and copies sums beside that. What one
+costs is counted from a file of TOPS calling a function of its file until that returns; of `cycle`, which calls it,
+`wire` is taken off. Rooms and TOPS themselves add up to all."""
+TOPS = ("zygos", "arm")
+"""The files that call those of rooms: the loop, and the cycle of an arm."""
 WHOLE = ("frame", "step", "solve")
-"""All frames of a cycle; working it off; one solution."""
+"""Receiving all frames of a cycle in the interrupt; the task, which decodes and processes them; one solution."""
 STAGES = (*ROOMS, *WHOLE)
+ENTRIES = {"frame": "zygos_frame", "step": "zygos_step", "solve": "zygos_work_solve"}
+"""The function of each of WHOLE."""
+MARKS = 2
+"""Parts of a cycle, each of which the driver ends by a mark: the cycle, and what the background does behind it."""
 TOGETHER = "frame + step"
-"""A full cycle: its frames in, its row accumulated."""
+"""A full cycle: its frames in, its row accumulated, and its part of everything else."""
 FOLDED = {"motorsums": "impulse", "momentumsums": "momentum", "jointsums": "joint", "reduction": "balance"}
 """Files that are part of another room."""
-KINDS = ("fills", "block", "arc", "cycle", "waits")
+KINDS = ("fills", "block", "arc", "cycle", "waits", "hands")
 """Of cycles, as bench/driver.c numbers them."""
 SIZES = (
     "parameters", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "joint", "noise", "accumulator",
-    "whole", "solver",
+    "tables", "handover", "whole", "solver",
 )  # fmt: skip
 PLACES = (
     "frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first",
     "row_turn", "row_step", "row_signal", "row_moved", "row_waits", "energy_task", "motor_task", "momentum_task",
+    "stage", "patrol", "copy",
 )  # fmt: skip
 """Where a cycle stands, as bench/driver.c has it."""
 RELEVANT: dict[str, tuple[str, ...]] = {
@@ -50,11 +60,12 @@ RELEVANT: dict[str, tuple[str, ...]] = {
     "impulse": ("joint_turn", "torque_at", "motor_task", "row_turn"),
     "momentum": ("momentum_turn", "momentum_task", "row_turn"),
     "joint": ("row_turn", "row_step", "row_signal", "row_moved", "row_waits"), "noise": ("turn", "torque_at"),
-    "accumulator": ("filled", "first", "energy_task"), "frame": ("frames",),
+    "accumulator": ("filled", "first", "energy_task"), "tables": ("patrol",),
+    "handover": ("copy",), "frame": ("frames",),
 }  # fmt: skip
 """On which of them the cost of a stage may depend."""
-REST = ("row_turn", "energy_task", "motor_task", "momentum_task")
-"""On which of them the rest of a step may depend, which is c/zygos.c itself."""
+REST = ("frames", "row_turn", "energy_task", "motor_task", "momentum_task", "stage", "patrol", "copy")
+"""On which of them the rest of a step may depend, which is TOPS themselves."""
 DRIVER = ROOT / "tests" / "bench" / "driver.c"
 
 
@@ -96,12 +107,16 @@ class Count:
         return np.asarray(self.kinds == KINDS.index("waits"), dtype=np.bool_)
 
     def ordinary(self) -> NDArray[np.bool_]:
-        """(n,) cycles that form a row, and neither open a block nor begin or end an arc."""
+        """(n,) cycles that form a row, and neither open a block, begin or end an arc, nor copy sums for a solution."""
         return np.asarray(self.kinds == KINDS.index("cycle"), dtype=np.bool_)
+
+    def hands(self) -> NDArray[np.bool_]:
+        """(n,) cycles in which a part of the sums is copied for a solution, or its estimate is adopted."""
+        return np.asarray(self.kinds == KINDS.index("hands"), dtype=np.bool_)
 
 
 def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int, int]:
-    """What bench/driver.c wrote: sizes, (n, 16) a kind and a place for each cycle, and rank and validity."""
+    """What bench/driver.c wrote: sizes, (n, 19) a kind and a place for each cycle, and rank and validity."""
     words = np.fromfile(path, dtype="<u4").astype(np.int64)
     body, rank, validity = words[len(SIZES) : -2].reshape(-1, 1 + len(PLACES)), int(words[-2]), int(words[-1])
     return dict(zip(SIZES, words[: len(SIZES)].tolist(), strict=True)), body, rank, validity

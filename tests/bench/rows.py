@@ -44,8 +44,8 @@ def measure(target: str, name: str) -> tuple[list[dict[str, Any]], dict[str, flo
 
 
 def _costs(count: Count, stage: str) -> dict[str, Any]:
-    """Instructions: the mean of ordinary cycles; how far they are apart; and the most of any cycle, and of those in
-    which an arc waits until the one before it is closed."""
+    """Instructions: the mean of ordinary cycles; how far they are apart; and the most of any cycle, of those in which
+    an arc waits until the one before it is closed, and of those in which sums are copied or an estimate is adopted."""
     if stage in ("solver", "solve", LIBRARY):
         solved = None if stage == LIBRARY else count.tally.solve
         return {
@@ -54,15 +54,17 @@ def _costs(count: Count, stage: str) -> dict[str, Any]:
             "spread_by_place": None,
             "most": solved,
             "waits": None,
+            "hands": None,
             "inputs": 1,
         }
-    chosen, counted, waits = count.ordinary(), count.stage(stage), count.waits()
+    chosen, counted, waits, hands = count.ordinary(), count.stage(stage), count.waits(), count.hands()
     return {
         "instructions": round(float(counted[chosen].mean()), 1),
         "spread": spread_by_data(count, stage),
         "spread_by_place": int(counted[chosen].max() - counted[chosen].min()),
         "most": int(counted.max()),
         "waits": int(counted[waits].max()) if waits.any() else None,
+        "hands": int(counted[hands].max()) if hands.any() else None,
         "inputs": int(chosen.sum()),
     }
 

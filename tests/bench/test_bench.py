@@ -27,6 +27,8 @@ Counter = Callable[[str, str], Count]
 DECISIONS = 8
 """Most instructions by which the accumulator differs at the same place: some decisions belong to no place, such as
 which buffer is next."""
+WAITING = 40
+"""The same of a copy of the sums that waits for its moment: which of several conditions is missing."""
 CYCLES = {"x86-64": 1200, "m7": 2000}
 """Of a run; enough for the parts of tasks to come again."""
 
@@ -85,7 +87,7 @@ def test_the_solution_that_is_counted_has_every_parameter(tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize(("target", "name"), tables.HELD)
 def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, name: str) -> None:
-    """All frames in, the row accumulated; the mean of ordinary cycles, wherever they stand."""
+    """All frames in, the row accumulated, its share of all else; the mean of ordinary cycles, wherever they stand."""
     count = counted(target, name)
     mean = float(count.stage(TOGETHER)[count.ordinary()].mean())
     assert count.ordinary().sum() > 500
@@ -112,7 +114,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
     chosen = count.ordinary()
     stepped = [stage for stage in RELEVANT if stage not in ("wire", "cycle", "frame")] + ["step"]
     spreads = {stage: spread_by_data(count, stage) for stage in stepped}
-    allowed = {stage: DECISIONS if stage in ("accumulator", "step") else 0 for stage in stepped}
+    allowed = dict.fromkeys(stepped, 0) | {"accumulator": DECISIONS, "handover": WAITING, "step": DECISIONS + WAITING}
     assert all(spreads[stage] <= allowed[stage] for stage in stepped), spreads
     assert spread_by_data(count, "frame") <= 8, "SYNC numbers wrap or jump, and FTIME ends silences"
     # the places that excuse a difference are few beside the cycles that are compared
@@ -126,11 +128,13 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
     ("target", "name"), [("x86-64", "paper, bare"), ("x86-64", "paper"), *(("m7", name) for name in CONFIGURATIONS)]
 )
 def test_no_cycle_costs_much_more_than_the_others(counted: Counter, target: str, name: str) -> None:
-    """What ends and opens arcs and blocks proceeds by a part per cycle, and arcs that end too soon wait for that."""
+    """What ends and opens arcs and blocks proceeds by a part per cycle, and arcs that end too soon wait for that; sums
+    are copied for a solution in parts, too."""
     count = counted(target, name)
     cycles = count.stage(TOGETHER)
     assert cycles.max() <= tables.FLAT * cycles[count.ordinary()].mean()
     assert count.waits().any() or name != "spatial"
+    assert count.hands().sum() > 50
 
 
 @pytest.mark.slow
@@ -166,10 +170,11 @@ def test_a_run_for_another_build_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
-    """zygos_arm_t is the same on both targets, and its rooms fit into it. The solver has pointers."""
+    """zygos_t is the same on both targets but for pointers, and its rooms fit into it. The solver has pointers."""
     host, target = counted("x86-64", "paper, bare").sizes, counted("m7", "paper, bare").sizes
-    assert {**host, "solver": 0} == {**target, "solver": 0}
-    assert 0 < host["solver"] - target["solver"] < 120
+    pointers = {"whole": 0, "solver": 0}
+    assert host | pointers == target | pointers
+    assert all(0 < host[which] - target[which] < 120 for which in pointers)
     rooms = sum(size for name, size in host.items() if name not in ("parameters", "whole", "solver"))
     assert 0.95 < rooms / host["whole"] < 1.0
 
@@ -182,7 +187,7 @@ def test_bytes_of_code_add_up(tmp_path: Path) -> None:
     library = found["library"]
     assert max(found[one].code for one in ("frame", "step", "solve")) < library.code
     rooms = sum(found[one].code for one in RELEVANT if one != "frame") + found["solver"].code
-    assert 0.75 < rooms / library.code < 1.0
+    assert 0.5 < rooms / library.code < 1.0, "the refinement, which zygos_step() calls, is no room"
     assert library.stack == max(one.stack for one in found.values())
 
 

@@ -41,15 +41,23 @@ CALLGRIND = """\
 desc: Trigger: --dump-after=driver_mark
 
 fl=(1) /x/c/zygos.c
-fn=(1) zygos_arm_frame
+fn=(1) zygos_frame
 1 10
+
+fn=(3) zygos_step
+1 3
 cfi=(2) /x/c/cycle.c
 cfn=(2) zygos_receiver_frame
 calls=1 5
 * 100
+cfi=(8) /x/c/arm.c
+cfn=(10) zygos_arm_step
+calls=1 2
++1 212
 
-fn=(3) zygos_arm_step
-1 3
+fl=(8)
+fn=(10)
+1 5
 cfn=(4) helper
 calls=1 2
 +1 207
@@ -84,14 +92,20 @@ fl=(3)
 fn=(5)
 1 200
 
-fl=(1)
+fl=(8)
 fn=(6)
 1 4
 
-desc: Trigger: Program termination
+desc: Trigger: --dump-after=driver_mark
 
 fl=(6) /x/c/solver.c
 fn=(8) zygos_work_solve
+1 77
+
+desc: Trigger: Program termination
+
+fl=(6)
+fn=(8)
 1 5
 cfi=(7) /x/libm.c
 cfn=(9) sqrt
@@ -130,20 +144,22 @@ def test_the_plugin_counts_what_a_processor_executes(tmp_path: Path, monkeypatch
 
 
 def test_stages_of_a_callgrind_file(tmp_path: Path) -> None:
-    """Calls from c/zygos.c are booked on the file of the callee, those of cycle.c into wire.c on wire."""
+    """Calls from c/zygos.c and c/arm.c are booked on the file of the callee, those of cycle.c into wire.c on wire; what
+    the background does between two cycles is not counted."""
     path = tmp_path / "callgrind.out"
     path.write_text(CALLGRIND)
     tally = callgrind.tally_of(path)
     found = dict(zip(STAGES, tally.stages[0].tolist(), strict=True))
     assert len(tally.stages) == 1
-    assert (found["frame"], found["step"]) == (110, 210)
+    assert (found["frame"], found["step"]) == (10, 315)
     assert (found["cycle"], found["wire"], found["smoother"]) == (40, 60, 200)
     assert tally.solve == 11
     assert {name: int(calls[0]) for name, calls in tally.functions.items()} == {
-        "zygos: zygos_arm_frame": 10,
-        "zygos: zygos_arm_step": 3,
-        "zygos: helper": 3,
-        "zygos: aside": 4,
+        "zygos: zygos_frame": 10,
+        "zygos: zygos_step": 3,
+        "arm: zygos_arm_step": 5,
+        "arm: helper": 3,
+        "arm: aside": 4,
         "cycle: zygos_receiver_frame": 40,
         "wire: zygos_wire_decode": 60,
         "smoother: zygos_smoother_push": 200,

@@ -3,8 +3,10 @@
 /// What the rows of each cycle change is copied at one moment, which costs less than a row: the cut. All other sums of
 /// that kind of rows are changed by tasks alone (accumulator.h). These wait from the cut on until the rest has been
 /// copied, by a part in each cycle, so that the copy is what zygos_arm_take() would have copied at the moment of the
-/// cut. A part is a block or a table: how many there are does not depend on the capacities. The kinds of rows follow
-/// each other, each with a cut of its own. Where sums are dropped meanwhile, the kind begins again.
+/// cut. Where no row waits half added to a block, the blocks of the open arc of energy rows are no part of the cut:
+/// they are copied in ZYGOS_HANDOVER_QUARTERS cycles, each row of them before the rows that wait are added to it. A
+/// part is a block or a table: how many there are does not depend on the capacities. The kinds of rows follow each
+/// other, each with a cut of its own. Where sums are dropped meanwhile, the kind begins again.
 
 #ifndef ZYGOS_HANDOVER_H
 #define ZYGOS_HANDOVER_H
@@ -17,10 +19,12 @@
 extern "C" {
 #endif
 
+/// Cycles in which blocks of the open arc are copied, which is before the rows that wait have been added to them.
+#define ZYGOS_HANDOVER_QUARTERS 4u
 /// Cycles after which a cut no longer waits for the moment at which it costs the least.
 #define ZYGOS_HANDOVER_PATIENCE 512u
 /// How often a kind of rows begins again before the rest of it is copied at once.
-#define ZYGOS_HANDOVER_TRIES 4u
+#define ZYGOS_HANDOVER_TRIES 16u
 
 /// What is to be copied next.
 typedef struct {
@@ -30,8 +34,9 @@ typedef struct {
     uint32_t waited;  ///< Cycles for which the cut has waited.
     uint32_t tries;   ///< How often this kind has begun again.
     uint32_t dropped; ///< zygos_arm_t.dropped at the cut.
+    uint32_t whole;   ///< 1: the cut has copied the blocks of the open arc of energy rows, too.
     uint32_t fold;    ///< Of all of these: a copy that memory errors have led elsewhere would lack sums.
-    uint8_t apart[ZYGOS_ORDER_PLACES]; ///< 1: the cut has copied this block of energy rows.
+    uint8_t apart[ZYGOS_ORDER_PLACES]; ///< 1: this block of energy rows needs not be copied as one of the others.
 } zygos_handover_t;
 
 /// Kinds behind those of enum zygos_rows: the joint rows, and the running solution.

@@ -11,7 +11,7 @@ extern "C" {
 #endif
 
 /// Words of eight bytes that are verified in a cycle.
-#define ZYGOS_PATROL_WORDS 8u
+#define ZYGOS_PATROL_WORDS 4u
 
 /// Where the patrol is.
 typedef struct {
