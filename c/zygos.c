@@ -169,9 +169,10 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     }
     const uint32_t nodes = two_of_words(self->given[0].nodes, self->given[1].nodes, self->given[2].nodes);
     const uint32_t node = frame->id & 0x7Fu;
-    const bool own = (frame->flags != 0) || (frame->id == ZYGOS_ID_SYNC) || (node == ZYGOS_NODE_COMPUTER) ||
+    const bool own = (frame->id == ZYGOS_ID_SYNC) || (frame->id == ZYGOS_ID_TPDO3 + ZYGOS_NODE_COMPUTER) ||
                      ((node < 32u) && (((nodes >> node) & 1u) != 0));
-    if (!own) {
+    const bool error = (frame->flags & (uint32_t)ZYGOS_FRAME_ERROR) != 0;
+    if (!error && (!own || (frame->flags != 0))) {
         return 0;
     }
     const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_RELAXED);
@@ -200,6 +201,10 @@ static int mend(zygos_t *self, const zygos_given_t *given)
     self->state.held = 0;
     const int found = zygos_arm_scrub(&self->state, config_of(given));
     memset(&self->patrol, 0, sizeof self->patrol);
+    if (found == 0) {
+        self->state.dropped++; /* tasks were finished at once: the kind of rows that is being copied begins again */
+        return 0;
+    }
     copy_anew(self);
     if (found == ZYGOS_E_CONFIG) {
         return found;
@@ -209,10 +214,10 @@ static int mend(zygos_t *self, const zygos_given_t *given)
         self->state.guard.adopting = 1;
         self->losses++;
         give_up(self);
-    } else if (found > 0) {
+    } else {
         self->repairs++;
     }
-    return (found != 0) ? 1 : 0;
+    return 1;
 }
 
 /* ---------------------------------------------------------------- the task */
@@ -291,6 +296,7 @@ static void adopt(zygos_t *self, const zygos_given_t *given)
     if (*corrupt > 0) {
         if ((mend(self, given) == 0) && (*corrupt >= CORRUPT)) {
             (void)zygos_arm_restart(arm, (uint32_t)ZYGOS_KEEP_FAULTS);
+            self->losses++;
             give_up(self);
         }
     } else if (current && ((background == NULL) || (estimate->since > 0))) {
@@ -442,15 +448,13 @@ int zygos_step(zygos_t *self)
         return 0;
     }
     int mended = decode(self, false) ? 0 : mend(self, &given);
+    /* Also without a cycle: a configuration that was changed may be why none is complete. */
+    mended = (mended < 0) ? mended : patrol(self, &given);
     const zygos_cycle_t *cycle = (mended < 0) ? NULL : zygos_receiver_front(&self->state.receiver);
     if (cycle == NULL) {
         return (mended < 0) ? mended : 0;
     }
-    mended = patrol(self, &given);
-    if (mended < 0) {
-        return mended;
-    }
-    refine(self, &given, zygos_receiver_front(&self->state.receiver));
+    refine(self, &given, cycle);
     int stepped = zygos_arm_step(&self->state);
     if (stepped < 0) {
         mended = mend(self, &given);
@@ -635,7 +639,7 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     zygos_estimate_t *estimate = estimate_of(&given);
     const uint64_t unused = estimate->unused;
     const uint32_t restored = estimate->restored;
-    uint64_t of = 0;
+    uint32_t of = 0;
     if (background != NULL) {
         of = background->of;
         background->work.config = *config;

@@ -72,11 +72,12 @@ typedef struct {
     zygos_work_t work;
     zygos_estimate_t estimate;              ///< The newest; after a comparison that without the newest arc,
     double deviation[ZYGOS_MAX_PARAMETERS]; ///< and these are the deviations of the newest arc from it.
-    uint64_t of;                            ///< zygos_t.restarts when the copy was made.
+    uint32_t of;                            ///< zygos_t.restarts when the copy was made.
     uint32_t compares;                      ///< 1: this copy is for a comparison, and not for an estimate.
     uint32_t changed;                       ///< 1: the newest comparison has found another arm.
     uint32_t corrupt;                       ///< Estimates in a row whose sums were corrupt.
     uint32_t adopted;                       ///< 1: the estimate can be adopted.
+    uint32_t reserved;
 } zygos_background_t;
 
 /// Memory for solutions without a copy of the sums: while one is computed, frames wait, and arcs end before it. There
@@ -84,9 +85,8 @@ typedef struct {
 typedef struct {
     zygos_solver_t solver;
     zygos_estimate_t estimate;
-    uint64_t of;
+    uint32_t of;
     uint32_t corrupt;
-    uint32_t reserved;
 } zygos_in_place_t;
 
 /// What zygos_init() was given, and follows from the configuration for the interrupt. It is kept three times, and a bit
@@ -117,7 +117,6 @@ typedef struct {
     uint32_t overrun;         ///< and this: frames lost, because zygos_step() was called too seldom.
     uint32_t tail;            ///< Frames taken; the task alone writes it, and everything below but the memory given.
     uint32_t overrun_counted; ///< Of overrun, what state.receiver.faults has.
-    uint64_t restarts;        ///< Times that the sums were given up: zygos_restart(), and memory beyond repair.
     uint64_t repairs;         ///< Times that memory was found changed and repaired.
     uint64_t losses;          ///< Times that it could not be repaired, and the estimation began anew.
     uint64_t rested;          ///< Calls of zygos_step() since the sums were copied last.
@@ -125,7 +124,8 @@ typedef struct {
     uint32_t waited;          ///< Calls for which an estimate has waited to be adopted.
     uint32_t refining;        ///< 1: the background has the memory of the refinement.
     uint32_t refines_anew;    ///< 1: what is refined is another arm's.
-    uint32_t reserved;
+    uint32_t restarts;        ///< Times, modulo 2^32, that the sums were given up: zygos_restart(), and memory beyond
+                              ///< repair.
     zygos_given_t given[3];
     zygos_handover_t handover;
     zygos_patrol_t patrol;
