@@ -75,11 +75,10 @@ static void cut_buffer(const zygos_accumulator_t *from, zygos_accumulator_t *to,
     copy(REST(&to->buffer[b], buffer, zygos_row_buffer_t, instants));
 }
 
-static void cut_noise(const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t parity)
+static void copy_noise(const zygos_noise_sums_t *from, zygos_noise_sums_t *to, uint32_t width)
 {
-    const uint32_t width = energy_width(from) - 1u;
-    copy(piece(to->noise_open[parity].gram, from->noise_open[parity].gram, zygos_gram_entries(width)));
-    copy(piece(to->noise_open[parity].sum, from->noise_open[parity].sum, width));
+    copy(piece(to->gram, from->gram, zygos_gram_entries(width)));
+    copy(piece(to->sum, from->sum, width));
 }
 
 /* With no rows in the buffer that is filled, the fewest have to be copied. */
@@ -108,51 +107,30 @@ static void cut_energy(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wor
         }
     }
     if (from->noisy != 0) {
-        cut_noise(from, to, from->parity & 1u);
+        copy_noise(&from->noise_open[from->parity & 1u], &to->noise_open[from->parity & 1u], energy_width(from) - 1u);
     }
     work->arc = arm->arc;
 }
 
-/* What follows the cut. Returns false behind the last piece. */
-static bool energy_piece(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work, uint32_t k,
-                         piece_t *out)
+/* What follows the cut: means and noise of the closing arc, noise of the closed ones, and block by block. Returns false
+   behind the last unit. */
+static bool energy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_accumulator_t *from = &arm->accumulator;
     zygos_accumulator_t *to = &work->accumulator;
     const uint32_t width = energy_width(from);
-    const uint32_t noise = zygos_gram_entries(width - 1u);
     const uint32_t closing = (to->parity & 1u) ^ 1u;
-    switch (k) {
-    case 0:
-        *out = piece(to->mean, from->mean, width);
-        return true;
-    case 1:
-        *out = piece(&to->scan, &from->scan, WORDS(sizeof to->scan));
-        return true;
-    case 2:
-        *out = piece(to->noise_closed.gram, from->noise_closed.gram, noise);
-        return true;
-    case 3:
-        *out = piece(to->noise_closed.sum, from->noise_closed.sum, width - 1u);
-        return true;
-    case 4:
-        *out = piece(to->noise_open[closing].gram, from->noise_open[closing].gram, noise);
-        return true;
-    case 5:
-        *out = piece(to->noise_open[closing].sum, from->noise_open[closing].sum, width - 1u);
-        return true;
-    default:
-        break;
-    }
-    const uint32_t rank = (k - 6u) / 2u;
-    if (rank >= least(to->count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
+    if (self->unit == 0) {
+        copy(piece(to->mean, from->mean, width));
+        to->scan = from->scan;
+        copy_noise(&from->noise_open[closing], &to->noise_open[closing], width - 1u);
+    } else if (self->unit == 1u) {
+        copy_noise(&from->noise_closed, &to->noise_closed, width - 1u);
+    } else if (self->unit - 2u < least(to->count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
+        cut_block(self, from, to, to->order[self->unit - 2u]);
+    } else {
         return false;
     }
-    const uint32_t place = least(to->order[rank], (uint32_t)ZYGOS_MAX_BLOCKS - 1u);
-    const zygos_block_t *block = &from->block[place];
-    *out = ((k % 2u) == 0) ? piece(to->block[place].gram, block->gram, zygos_gram_entries(width))
-                           : REST(&to->block[place], block, zygos_block_t, sum);
-    out->words = (self->apart[place] == 0) ? out->words : 0u;
     return true;
 }
 
@@ -172,22 +150,22 @@ static void cut_motors(const zygos_arm_t *arm, zygos_work_t *work)
     cut_motor_block(&from->open, &to->open, arm->config.joints);
 }
 
-static bool motor_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
+/* The tables with the closing arc, then block by block. */
+static bool motor_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_motor_sums_t *from = &arm->motor_sums;
     zygos_motor_sums_t *to = &work->motor_sums;
-    if (k == 0) {
-        *out = SPAN(to, from, zygos_motor_sums_t, column_map, count);
+    const uint32_t joints = arm->config.joints;
+    if (self->unit == 0) {
+        copy(SPAN(to, from, zygos_motor_sums_t, column_map, count));
+        cut_motor_block(&from->closing, &to->closing, joints);
         return true;
     }
-    const uint32_t b = (k - 1u) / 2u; /* 0: the closing arc */
-    if (b > least(to->count, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
+    const uint32_t b = self->unit - 1u;
+    if (b >= least(to->count, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
         return false;
     }
-    const zygos_motor_block_t *block = (b == 0) ? &from->closing : &from->block[b - 1u];
-    zygos_motor_block_t *copied = (b == 0) ? &to->closing : &to->block[b - 1u];
-    *out = ((k % 2u) == 1u) ? piece(copied->joint, block->joint, arm->config.joints * WORDS(sizeof block->joint[0]))
-                            : REST(copied, block, zygos_motor_block_t, instants);
+    cut_motor_block(&from->block[b], &to->block[b], joints);
     return true;
 }
 
@@ -198,6 +176,12 @@ static uint32_t momentum_width(const zygos_momentum_sums_t *from)
     return least(from->columns + 3u, (uint32_t)ZYGOS_MAX_MOMENTUM_ROW);
 }
 
+static void copy_momentum(const zygos_momentum_gram_t *from, zygos_momentum_gram_t *to, uint32_t width)
+{
+    copy(piece(to->gram, from->gram, zygos_gram_entries(width)));
+    copy(piece(to->sum, from->sum, width));
+}
+
 static void cut_momentum(const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_momentum_sums_t *from = &arm->momentum_sums;
@@ -205,49 +189,34 @@ static void cut_momentum(const zygos_arm_t *arm, zygos_work_t *work)
     const uint32_t width = momentum_width(from);
     const uint32_t open = from->parity & 1u;
     copy(SPAN(to, from, zygos_momentum_sums_t, columns, deviation));
-    copy(piece(to->noise_arc[open].gram, from->noise_arc[open].gram, zygos_gram_entries(width)));
-    copy(piece(to->noise_arc[open].sum, from->noise_arc[open].sum, width));
-    copy(piece(to->arc.rows.gram, from->arc.rows.gram, zygos_gram_entries(width)));
-    copy(piece(to->arc.rows.sum, from->arc.rows.sum, width));
+    copy_momentum(&from->noise_arc[open], &to->noise_arc[open], width);
+    copy_momentum(&from->arc.rows, &to->arc.rows, width);
     copy(REST(&to->arc, &from->arc, zygos_momentum_block_t, instants));
 }
 
-static bool momentum_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
+/* The tables with the noise of the closing arc, that of the closed ones, then block by block, the closing arc last. */
+static bool momentum_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_momentum_sums_t *from = &arm->momentum_sums;
     zygos_momentum_sums_t *to = &work->momentum_sums;
     const uint32_t width = momentum_width(from);
-    const uint32_t entries = zygos_gram_entries(width);
     const uint32_t closing = (to->parity & 1u) ^ 1u;
-    if (k == 0) {
-        *out = SPAN(to, from, zygos_momentum_sums_t, deviation, noise_arc);
+    if (self->unit == 0) {
+        copy(SPAN(to, from, zygos_momentum_sums_t, deviation, noise_arc));
+        to->scan = from->scan;
+        copy_momentum(&from->noise_arc[closing], &to->noise_arc[closing], width);
         return true;
     }
-    if (k == 1u) {
-        *out = piece(&to->scan, &from->scan, WORDS(sizeof to->scan));
+    if (self->unit == 1u) {
+        copy_momentum(&from->noise_closed, &to->noise_closed, width);
         return true;
     }
-    const uint32_t g = (k - 2u) / 3u; /* the noise of the closing arc, that of closed ones, then the blocks */
-    const uint32_t b = g - 2u;
-    if ((g >= 2u) && (b > least(to->count, (uint32_t)ZYGOS_MOMENTUM_PLACES - 1u))) {
+    const uint32_t b = self->unit - 2u;
+    if ((from->columns == 0) || (b > least(to->count, (uint32_t)ZYGOS_MOMENTUM_PLACES - 1u))) {
         return false;
     }
-    const zygos_momentum_gram_t *rows = (g == 0)    ? &from->noise_arc[closing]
-                                        : (g == 1u) ? &from->noise_closed
-                                                    : &from->block[b].rows;
-    zygos_momentum_gram_t *copied = (g == 0)    ? &to->noise_arc[closing]
-                                    : (g == 1u) ? &to->noise_closed
-                                                : &to->block[b].rows;
-    const uint32_t part = (k - 2u) % 3u;
-    if (part == 0) {
-        *out = piece(copied->gram, rows->gram, entries);
-    } else if (part == 1u) {
-        *out = piece(copied->sum, rows->sum, width);
-    } else if (g >= 2u) {
-        *out = REST(&to->block[b], &from->block[b], zygos_momentum_block_t, instants);
-    } else {
-        *out = piece(copied->sum, rows->sum, 0u);
-    }
+    copy_momentum(&from->block[b].rows, &to->block[b].rows, width);
+    copy(REST(&to->block[b], &from->block[b], zygos_momentum_block_t, instants));
     return true;
 }
 
@@ -308,34 +277,24 @@ static void cut_joints(const zygos_arm_t *arm, zygos_work_t *work)
     }
 }
 
-static bool joint_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
+/* The tables with noise and joints' sums, then group by group; the cut has copied what a segment is added to. */
+static bool joint_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_joint_sums_t *from = &arm->joint_sums;
     zygos_joint_sums_t *to = &work->joint_sums;
-    const uint32_t width = joint_width(from);
-    const bool adding = (to->adding != 0); /* then the cut has copied what is added to */
-    if (k == 0) {
-        *out = SPAN(to, from, zygos_joint_sums_t, weight, noise);
-        return true;
-    }
-    const uint32_t g = (k - 1u) / 3u; /* noise, joints' sums, then the groups */
-    if ((width == 0) || (g > 2u + (uint32_t)ZYGOS_SET_ASIDE)) {
+    if ((from->width == 0) || (self->unit > 1u + (uint32_t)ZYGOS_SET_ASIDE)) {
         return false;
     }
-    const zygos_joint_gram_t *rows = (g == 0) ? &from->noise : (g == 1u) ? &from->apart : &from->group[g - 2u].rows;
-    zygos_joint_gram_t *copied = (g == 0) ? &to->noise : (g == 1u) ? &to->apart : &to->group[g - 2u].rows;
-    const bool has_it = adding && ((g < 2u) || (g - 2u == to->target));
-    const uint32_t part = (k - 1u) % 3u;
-    if (part == 0) {
-        *out = piece(copied->gram, rows->gram, zygos_gram_entries(width));
-    } else if (part == 1u) {
-        *out = piece(copied->sum, rows->sum, width);
-    } else if (g >= 2u) {
-        *out = REST(&to->group[g - 2u], &from->group[g - 2u], zygos_joint_group_t, count);
-    } else {
-        *out = piece(copied->sum, rows->sum, 0u);
+    const bool adding = (to->adding != 0);
+    if (self->unit == 0) {
+        copy(SPAN(to, from, zygos_joint_sums_t, weight, noise));
+        if (!adding) {
+            cut_joint_gram(&from->noise, &to->noise, joint_width(from));
+            cut_joint_gram(&from->apart, &to->apart, joint_width(from));
+        }
+    } else if (!adding || (self->unit - 1u != to->target)) {
+        cut_group(from, to, self->unit - 1u);
     }
-    out->words = has_it ? 0u : out->words;
     return true;
 }
 
@@ -347,33 +306,25 @@ static void cut_guard(const zygos_arm_t *arm, zygos_work_t *work)
     work->cycle = arm->cycle;
 }
 
-static bool guard_piece(const zygos_arm_t *arm, zygos_work_t *work, uint32_t k, piece_t *out)
+static bool guard_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_guard_t *from = &arm->guard;
-    zygos_guard_t *to = &work->guard;
-    if (k == 0) {
-        *out = SPAN(to, from, zygos_guard_t, checksum, covariance);
-    } else {
-        const uint32_t p = least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
-        *out = piece(to->covariance, from->covariance, zygos_gram_entries(p));
+    const uint32_t p = least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
+    if (self->unit > 0) {
+        return false;
     }
-    return k < 2u;
+    copy(SPAN(&work->guard, from, zygos_guard_t, checksum, covariance));
+    copy(piece(work->guard.covariance, from->covariance, zygos_gram_entries(p)));
+    return true;
 }
 
 /* ---------------------------------------------------------------- all kinds */
 
-/* Words of eight bytes that are copied in a cycle. */
-static uint32_t some(const zygos_arm_t *arm)
-{
-    const uint32_t block = zygos_gram_entries(energy_width(&arm->accumulator));
-    return (block > ZYGOS_HANDOVER_LEAST) ? block : ZYGOS_HANDOVER_LEAST;
-}
-
 /* Whether what follows the cut will be copied before the open arc ends, which would have to wait. An arc that is not
    much longer than that ends too often to be waited for. */
-static bool has_time(const zygos_arm_t *arm, uint32_t words, uint32_t done, uint32_t longest)
+static bool has_time(uint32_t units, uint32_t done, uint32_t longest)
 {
-    const uint32_t cycles = words / some(arm) + 8u; /* pieces have ends */
+    const uint32_t cycles = units + 2u;
     return (longest < 2u * cycles) || (done + cycles < longest);
 }
 
@@ -381,19 +332,13 @@ static bool suits(const zygos_arm_t *arm, uint32_t kind)
 {
     const zygos_config_t *config = &arm->config;
     if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        const zygos_accumulator_t *from = &arm->accumulator;
-        const uint32_t block = zygos_gram_entries(energy_width(from)) + energy_width(from);
-        return suits_energy(from) && has_time(arm, (from->count + 3u) * block, arm->arc, config->arc_cycles);
+        return suits_energy(&arm->accumulator) && has_time(arm->accumulator.count + 2u, arm->arc, config->arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        const zygos_motor_sums_t *from = &arm->motor_sums;
-        const uint32_t block = config->joints * WORDS(sizeof from->open.joint[0]) + 16u;
-        return has_time(arm, (from->count + 2u) * block, from->cycles, config->impulse_arc_cycles);
+        return has_time(arm->motor_sums.count + 1u, arm->motor_sums.cycles, config->impulse_arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        const zygos_momentum_sums_t *from = &arm->momentum_sums;
-        const uint32_t block = zygos_gram_entries(momentum_width(from)) + momentum_width(from);
-        return has_time(arm, (from->count + 4u) * block, from->cycles, config->momentum_arc_cycles);
+        return has_time(arm->momentum_sums.count + 3u, arm->momentum_sums.cycles, config->momentum_arc_cycles);
     }
     return (kind != ZYGOS_JOINT_KIND) || suits_joints(&arm->joint_sums);
 }
@@ -440,24 +385,24 @@ static void cut(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *wo
         cut_ending(arm, work, self->kind);
     }
     self->cut = 1;
-    self->piece = 0;
-    self->offset = 0;
+    self->unit = 0;
     self->dropped = arm->dropped;
 }
 
-static bool piece_of(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work, piece_t *out)
+/* Copies the next unit of what follows the cut. Returns false where there is none. */
+static bool copy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     switch (self->kind) {
     case ZYGOS_ENERGY_ROWS:
-        return energy_piece(self, arm, work, self->piece, out);
+        return energy_unit(self, arm, work);
     case ZYGOS_MOTOR_ROWS:
-        return motor_piece(arm, work, self->piece, out);
+        return motor_unit(self, arm, work);
     case ZYGOS_MOMENTUM_ROWS:
-        return momentum_piece(arm, work, self->piece, out);
+        return momentum_unit(self, arm, work);
     case ZYGOS_JOINT_KIND:
-        return joint_piece(arm, work, self->piece, out);
+        return joint_unit(self, arm, work);
     default:
-        return guard_piece(arm, work, self->piece, out);
+        return guard_unit(self, arm, work);
     }
 }
 
@@ -485,28 +430,6 @@ static void next_kind(zygos_handover_t *self)
     self->tries = 0;
 }
 
-/* Copies so many words of what follows the cut. Returns whether that was all. */
-static bool copy_some(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work, uint32_t words)
-{
-    piece_t next;
-    uint32_t left = words;
-    while (left > 0) {
-        if (!piece_of(self, arm, work, &next)) {
-            return true;
-        }
-        const uint32_t from = least(self->offset, next.words);
-        const uint32_t part = least(next.words - from, left);
-        copy(piece((unsigned char *)next.to + from * WORD, (const unsigned char *)next.from + from * WORD, part));
-        self->offset = from + part;
-        if (self->offset >= next.words) {
-            self->piece++;
-            self->offset = 0;
-        }
-        left -= (part > 0) ? part : 1u; /* so that pieces without words end, too */
-    }
-    return false;
-}
-
 bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
 {
     if (self->kind >= ZYGOS_HANDOVER_KINDS) {
@@ -528,7 +451,11 @@ bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_w
             return false;
         }
     }
-    if (copy_some(self, arm, work, at_once ? UINT32_MAX : some(arm))) {
+    bool more = copy_unit(self, arm, work);
+    for (self->unit++; at_once && more; self->unit++) {
+        more = copy_unit(self, arm, work);
+    }
+    if (!more) {
         next_kind(self);
     }
     return self->kind >= ZYGOS_HANDOVER_KINDS;

@@ -2,6 +2,7 @@
 
 #include "zygos/priv/reduction.h"
 
+#include <stddef.h>
 #include <string.h>
 
 #define MAX_REFUSED_SHARE 0.05
@@ -138,19 +139,27 @@ static double gain_sigma(const zygos_solver_t *work, uint32_t g)
     return config->joint[config->effect[config->effects - work->gains + g].joint].torque_gain_sigma;
 }
 
+/* What all entries of the prior of the gains have in common, which every factorisation needs. */
+static void prepare_prior(zygos_solver_t *work)
+{
+    const double reference = zygos_effects_reference_sigma(work->config);
+    double all = 0.0;
+    for (uint32_t g = 0; g < work->gains; g++) {
+        const double sigma = gain_sigma(work, g);
+        all += reference * reference / (sigma * sigma);
+    }
+    work->gain_reference = reference;
+    work->gain_ratios = all;
+}
+
 /* Entry of the prior of the gains as it stands beside the sums: the inverse of diag(s_g^2) + s_r^2, times what
    information costs in variance. */
 static double prior(const zygos_solver_t *work, uint32_t g, uint32_t h)
 {
-    const double reference = zygos_effects_reference_sigma(work->config);
-    double all = 0.0;
-    for (uint32_t k = 0; k < work->gains; k++) {
-        const double sigma = gain_sigma(work, k);
-        all += reference * reference / (sigma * sigma);
-    }
+    const double reference = work->gain_reference;
     const double by_g = 1.0 / gain_sigma(work, g);
     const double by_h = 1.0 / gain_sigma(work, h);
-    const double common = by_g * by_h * reference * reference / (1.0 + all);
+    const double common = by_g * by_h * reference * reference / (1.0 + work->gain_ratios);
     return work->gain_cost[g] * work->gain_cost[h] * by_g * by_h * (((g == h) ? 1.0 : 0.0) - common);
 }
 
@@ -548,7 +557,7 @@ static double influence(zygos_solver_t *work, uint32_t p, uint32_t rank, const p
    right on average; but a matrix of such products need not be positive semi-definite. The correlations are therefore
    those of squares: of the blocks' own influences, each enlarged by what it is too small by in its own direction. A
    parameter whose information comes from few blocks has few degrees of freedom. A block without which the equations
-   lose rank leaves all sigmas infinite: the motion was informative once only. */
+   lose rank leaves all sigmas infinite: the motion was informative once only. Needs the factor of the solution. */
 static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
 {
     const parts_t parts = parts_of(work);
@@ -558,8 +567,6 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
     memset(work->product, 0, p * sizeof work->product[0]);
     memset(work->linearised_variance, 0, p * sizeof work->linearised_variance[0]);
-    scaled_equations(work, p, NULL, work->noise_scale);
-    (void)factorise(work, p, rank);
     for (uint32_t b = 0; (b < parts.all) && !once; b++) {
         exchange_factors(work, p);
         scaled_without(work, p, &parts, b);
@@ -1145,7 +1152,7 @@ static void add_prior(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     }
     for (uint32_t g = 0; g <= work->gains; g++) {
         const bool reference = (g == work->gains);
-        const double sigma = reference ? zygos_effects_reference_sigma(work->config) : gain_sigma(work, g);
+        const double sigma = reference ? work->gain_reference : gain_sigma(work, g);
         memset(work->right_side, 0, p * sizeof work->right_side[0]);
         for (uint32_t h = 0; (h < work->gains) && !reference; h++) {
             work->right_side[first + h] = prior(work, g, h) * work->scale[first + h];
@@ -1317,6 +1324,14 @@ static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t en
     }
 }
 
+/* The same for a solution of its own: the weights of all rows follow from it. */
+static void choose_anew(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
+{
+    choose(work, p, first, end);
+    memset(work->weight, 0, sizeof work->weight);
+    work->momentum_weight = 0.0;
+}
+
 /* Chooses joint rows alone, of the groups from first to before end; the declared noise of all is shared out to them. */
 static void choose_joints(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
@@ -1440,7 +1455,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
         const double energy = explained / work->instants;
         const double weight = (square > 0.0) ? energy * rows / (JOINT_CORRELATION * square) : 0.0;
         if (!(weight > 0.0)) {
-            break;
+            return begin(work, p); /* of the sums with their noise again */
         }
         const double more = weight - weighed;
         for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
@@ -1587,53 +1602,60 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
     return disturbed(together - alone, alone + noise, least * allowed, squares);
 }
 
+/* How well the solution fits: the squared residuals of the energy rows, and what the noise of the torques adds. */
+typedef struct {
+    double left;
+    double walked; /* walk_in_clusters() */
+    bool good;
+} fit_t;
+
 /* Whether the solution fits all rows: no kind leaves over more than alone, and residuals do not add up in a block. It
    takes no declared noise of angles and rates. alone: squared residuals of the energy rows solved alone; 0 where there
-   are no others. */
-static bool fits(const zygos_solver_t *work, uint32_t p, double alone)
+   are no others. Where joint rows alone are solved, nothing is judged. */
+static fit_t fit_of(const zygos_solver_t *work, uint32_t p, double alone)
 {
     double explained = 0.0;
-    const double left = energy_left(work, p, work->solution, &explained);
-    if ((work->joints_alone != 0) || !(left > 0.0)) {
-        return true;
+    fit_t out = { .left = 0.0, .walked = 0.0, .good = true };
+    if (work->joints_alone != 0) {
+        return out;
+    }
+    out.left = energy_left(work, p, work->solution, &explained);
+    if (!(out.left > 0.0)) {
+        return out;
     }
     double share = 0.0;
-    const double square = left / work->instants;
-    const double walk = walk_in_clusters(work) / square;
+    const double square = out.left / work->instants;
+    out.walked = walk_in_clusters(work);
+    const double walk = out.walked / square;
     if (walk > 1.0) {
-        return true;
+        return out;
     }
-    bool good = (cluster(work, p, root(square), &share) <= ZYGOS_MISFIT_CLUSTER * (1.0 + walk)) ||
-                (share <= ZYGOS_MISFIT_CLUSTER_SHARE);
-    good = good && !energy_disturbed(work, p, left, alone, 1.0 + walk);
+    out.good = (cluster(work, p, root(square), &share) <= ZYGOS_MISFIT_CLUSTER * (1.0 + walk)) ||
+               (share <= ZYGOS_MISFIT_CLUSTER_SHARE);
+    out.good = out.good && !energy_disturbed(work, p, out.left, alone, 1.0 + walk);
     for (uint32_t i = 0; i < work->config->joints; i++) {
-        good = good && !motors_disturbed(work, i, 1.0 + walk);
+        out.good = out.good && !motors_disturbed(work, i, 1.0 + walk);
     }
-    return good;
+    return out;
 }
 
-/* Weighs all rows while the gains are held, judges whether they fit, gives the gains their priors, and weighs the rows
-   again. Scales their sums, and returns their rank; 0: nothing is determined. */
+/* Weighs all rows. Where gains are held while that is done, it judges whether the rows fit, gives the gains their
+   priors, and weighs the rows again. Scales their sums, and returns their rank; 0: nothing is determined. */
 static uint32_t weigh(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     const uint32_t rank = combine(work, p, out);
-    if (rank == 0) {
+    if ((rank == 0) || (work->gains_held == 0)) {
         return rank;
     }
     choose_noise_scale(work, p, rank, out);
     (void)solve_with(work, p, rank, work->noise_scale, work->solution);
-    work->fits = fits(work, p, work->alone) ? 1u : 0u;
-    if (work->gains_held == 0) {
-        return begin(work, p);
-    }
+    work->fits = fit_of(work, p, work->alone).good ? 1u : 0u;
     release_gains(work, p, rank, out->covariance);
     if (work->joints_alone != 0) {
         return begin(work, p);
     }
     /* Weights follow from a solution, and one with held gains may have been far off. */
-    choose(work, p, work->blocks.first, work->blocks.end);
-    memset(work->weight, 0, sizeof work->weight);
-    work->momentum_weight = 0.0;
+    choose_anew(work, p, work->blocks.first, work->blocks.end);
     return combine(work, p, out);
 }
 
@@ -1645,27 +1667,39 @@ static bool fits_with_gains(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
     if (work->joints_alone != 0) {
         return true;
     }
-    const double left = energy_left(work, p, work->solution, &explained);
-    const bool good = fits(work, p, 0.0);
-    const double walk = walk_in_clusters(work) * work->instants / left;
+    const fit_t fit = fit_of(work, p, 0.0);
+    const double walk = fit.walked * work->instants / fit.left;
     for (uint32_t g = 0; g < work->gains; g++) {
         work->gain_value[g] = work->solution[p - work->gains + g];
     }
     work->gains_held = 1;
-    choose(work, p, work->blocks.first, work->blocks.end);
-    memset(work->weight, 0, sizeof work->weight);
-    work->momentum_weight = 0.0;
+    choose_anew(work, p, work->blocks.first, work->blocks.end);
     const double signal_to_noise = out->signal_to_noise;
     const uint32_t rank = begin(work, p);
     choose_noise_scale(work, p, rank, out);
     (void)solve_with(work, p, rank, work->noise_scale, work->solution);
     out->signal_to_noise = signal_to_noise;
     const double alone = energy_left(work, p, work->solution, &explained);
-    return good && ((walk > 1.0) || !energy_disturbed(work, p, left, alone, 1.0 + walk));
+    return fit.good && ((walk > 1.0) || !energy_disturbed(work, p, fit.left, alone, 1.0 + walk));
 }
 
-/* Solves the blocks from the given one on, with which an arc begins. */
-static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t first)
+/* What tells whether the residuals of a solution are those of bad arcs. */
+typedef struct {
+    double noise_ratio;
+    double cluster;
+} residuals_t;
+
+/* Whether a solution without old arcs has far smaller residuals than that of all arcs. */
+static bool far_smaller(const zygos_estimate_t *out, const residuals_t *all)
+{
+    return (CORRUPTED_RATIO * out->noise_ratio < all->noise_ratio) ||
+           (ZYGOS_CLUSTER_LIMIT * out->cluster < all->cluster);
+}
+
+/* Solves the blocks from the given one on, with which an arc begins. all: null, or the residuals with all blocks; then
+   there is no answer where these are not far smaller, or where the balance does not close: it would not be used, and
+   the standard deviations are most of the cost. */
+static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t first, const residuals_t *all)
 {
     const zygos_accumulator_t *sums = work->accumulator;
     const uint32_t p = work->column_map.parameters;
@@ -1698,7 +1732,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     if (joints) {
         choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     } else {
-        choose(work, p, first, sums->open);
+        choose_anew(work, p, first, sums->open);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
     if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
@@ -1707,8 +1741,6 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
         const bool fast = joints && (out->refused > out->accepted);
         return refuse(out, p, fast ? ZYGOS_REASON_TOO_FAST : ZYGOS_REASON_NO_DATA);
     }
-    memset(work->weight, 0, sizeof work->weight);
-    work->momentum_weight = 0.0;
     const uint32_t rank = weigh(work, p, out);
     out->rank = rank;
     if (rank == 0) {
@@ -1724,10 +1756,16 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     if (solve_with(work, p, rank, work->noise_scale, work->solution) < rank) {
         return refuse(out, p, ZYGOS_REASON_NOISE);
     }
+    if (work->gains == 0) {
+        work->fits = fit_of(work, p, work->alone).good ? 1u : 0u;
+    }
     out->condition = condition(work, rank, &inverse);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
     const bool closed = closes(work, p, out);
+    if ((all != NULL) && (!closed || !far_smaller(out, all))) {
+        return refuse(out, p, ZYGOS_REASON_UNCLOSED);
+    }
     double explained = 0.0;
     const double unexplained = energy_left(work, p, work->solution, &explained);
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
@@ -1848,6 +1886,12 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
+/* Vectors of the solver, and those of an estimate that is put aside, beside which one has its flags. */
+#define VECTORS 15u
+#define ASIDE 4u
+_Static_assert(VECTORS + ASIDE + 1u <= ZYGOS_ROW_BUFFERS * ZYGOS_BUFFER_ROWS, "vectors without a place");
+_Static_assert(ZYGOS_MAX_PACKED <= ZYGOS_MAX_PACKED_ROW, "a covariance without a place");
+
 /* A vector of p entries, where rows wait otherwise: eight in a buffer. */
 static double *vector(zygos_accumulator_t *sums, uint32_t k)
 {
@@ -1865,6 +1909,7 @@ static void borrow(zygos_solver_t *work)
     work->gains_held = (work->gains > 0) ? 1u : 0u;
     work->gains_differ = 0;
     work->gains_seen = 0;
+    prepare_prior(work);
     memset(work->gain_cost, 0, sizeof work->gain_cost);
     memset(work->gain_value, 0, sizeof work->gain_value);
     work->total = sums->buffer[0].gram;
@@ -1872,24 +1917,22 @@ static void borrow(zygos_solver_t *work)
     work->matrix = sums->buffer[2].gram;
     work->factor = sums->noise_open[0].gram;
     work->other_factor = sums->noise_open[1].gram;
-    double **vectors[] = { &work->scale,
-                           &work->right_side,
-                           &work->solution,
-                           &work->size,
-                           &work->noise_shift,
-                           &work->score,
-                           &work->without,
-                           &work->inverse,
-                           &work->information[0],
-                           &work->information[1],
-                           &work->degrees_of_freedom,
-                           &work->linearised_variance,
-                           &work->product,
-                           &work->linearised,
-                           &work->prior_variance };
-    _Static_assert(sizeof vectors / sizeof vectors[0] <= ZYGOS_ROW_BUFFERS * ZYGOS_BUFFER_ROWS,
-                   "vectors without a place");
-    for (uint32_t k = 0; k < sizeof vectors / sizeof vectors[0]; k++) {
+    double **vectors[VECTORS] = { &work->scale,
+                                  &work->right_side,
+                                  &work->solution,
+                                  &work->size,
+                                  &work->noise_shift,
+                                  &work->score,
+                                  &work->without,
+                                  &work->inverse,
+                                  &work->information[0],
+                                  &work->information[1],
+                                  &work->degrees_of_freedom,
+                                  &work->linearised_variance,
+                                  &work->product,
+                                  &work->linearised,
+                                  &work->prior_variance };
+    for (uint32_t k = 0; k < VECTORS; k++) {
         *vectors[k] = vector(sums, k);
     }
 }
@@ -1903,30 +1946,72 @@ static void give_back(zygos_solver_t *work)
     memset(sums->noise_open, 0, sizeof sums->noise_open);
 }
 
-/* Repeats the solution without old arcs where they may be bad. */
+/* The free block with the last place; there is one while fewer than all are in use. */
+static double *free_triangle(zygos_accumulator_t *sums)
+{
+    return sums->block[sums->order[ZYGOS_MAX_BLOCKS - 1]].gram;
+}
+
+/* What comes before the vectors of an estimate. */
+typedef struct {
+    unsigned char byte[offsetof(zygos_estimate_t, identifiable)];
+} head_t;
+
+/* Puts an estimate aside, or takes it back: its vectors into the places behind those of the solver, its covariance into
+   a free block. */
+static void put_aside(zygos_solver_t *work, zygos_estimate_t *out, head_t *head, bool back)
+{
+    double *own[ASIDE] = { out->solution, out->value, out->sigma, out->half95 };
+    const size_t size = work->column_map.parameters * sizeof(double);
+    const size_t triangle = at(work->column_map.parameters, 0) * sizeof(double);
+    for (uint32_t k = 0; k < ASIDE; k++) {
+        double *place = vector(work->accumulator, VECTORS + k);
+        memcpy(back ? own[k] : place, back ? place : own[k], size);
+    }
+    double *flags = vector(work->accumulator, VECTORS + ASIDE);
+    double *covariance = free_triangle(work->accumulator);
+    if (back) {
+        memcpy(out, head, sizeof *head);
+        memcpy(out->identifiable, flags, work->column_map.parameters * sizeof out->identifiable[0]);
+        memcpy(out->covariance, covariance, triangle);
+    } else {
+        memcpy(head, out, sizeof *head);
+        memcpy(flags, out->identifiable, work->column_map.parameters * sizeof out->identifiable[0]);
+        memcpy(covariance, out->covariance, triangle);
+    }
+}
+
+/* Repeats the solution without old arcs where they may be bad. The solution of all arcs is put aside meanwhile, so that
+   it need not be made again. Where every block is in use, as at most in the first instants of an arc, there is no place
+   for it, and it is the answer. */
 static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
 {
     const zygos_accumulator_t *sums = work->accumulator;
-    int answer = solve_from(work, out, 0);
-    if ((work->guard->adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out)) {
+    int answer = solve_from(work, out, 0, NULL);
+    if ((work->guard->adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out) ||
+        (sums->count >= (uint32_t)ZYGOS_MAX_BLOCKS)) {
         return answer;
     }
-    const double ratio = out->noise_ratio;
-    const double clustered = out->cluster;
+    const residuals_t all = { .noise_ratio = out->noise_ratio, .cluster = out->cluster };
+    const int whole = answer;
+    head_t head;
     uint32_t first = 0;
     bool better = false;
+    put_aside(work, out, &head, false);
     for (uint32_t quarter = 1; !better && (quarter <= 2u); quarter++) {
         const uint32_t next = next_arc(sums, quarter * sums->open / 4u);
         if ((next > first) && several_behind(sums, next)) {
             first = next;
-            answer = solve_from(work, out, first);
+            answer = solve_from(work, out, first, &all);
             better = ((out->validity == (uint32_t)ZYGOS_VALID) || (out->reason == (uint32_t)ZYGOS_REASON_CHANGED)) &&
-                     ((CORRUPTED_RATIO * out->noise_ratio < ratio) || (ZYGOS_CLUSTER_LIMIT * out->cluster < clustered));
+                     far_smaller(out, &all);
         }
     }
-    if ((first > 0) && !better) {
-        answer = solve_from(work, out, 0);
+    if (!better) {
+        put_aside(work, out, &head, true);
+        answer = whole;
     }
+    memset(free_triangle(work->accumulator), 0, at(work->column_map.parameters, 0) * sizeof(double));
     return answer;
 }
 
@@ -2011,8 +2096,6 @@ static bool explains(const zygos_solver_t *work, uint32_t p, const reference_t *
 static bool solve_before(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out, double *scaled)
 {
     uint32_t rank = 0;
-    memset(work->weight, 0, sizeof work->weight);
-    work->momentum_weight = 0.0;
     if (!solve_chosen(work, p, out, &rank) || (rank < p)) {
         return false;
     }
@@ -2088,7 +2171,7 @@ static int detect_in_energy(zygos_solver_t *work, uint32_t p, bool guarded, zygo
     out->cycle = zygos_accumulator_at(sums, sums->newest - 1u)->end;
     uint32_t rank = 0;
     double scaled[ZYGOS_MAX_PARAMETERS];
-    choose(work, p, 0, sums->newest);
+    choose_anew(work, p, 0, sums->newest);
     if (!solve_before(work, p, out, scaled)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }

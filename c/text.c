@@ -2,6 +2,7 @@
 
 #include <stddef.h>
 
+#include "zygos/estimate.h"
 #include "zygos/priv/cycle.h"
 #include "zygos/priv/guard.h"
 #include "zygos/priv/refiner.h"
@@ -364,6 +365,21 @@ const char *zygos_snapshot_kind_text(uint32_t kind)
         return "configuration";
     case ZYGOS_SNAPSHOT_STATE:
         return "state";
+    }
+    return UNKNOWN;
+}
+
+const char *zygos_stage_text(uint32_t stage)
+{
+    switch ((enum zygos_stage)stage) {
+    case ZYGOS_STAGE_IDLE:
+        return "no solution is asked for";
+    case ZYGOS_STAGE_ASKED:
+        return "the sums are being copied";
+    case ZYGOS_STAGE_GIVEN:
+        return "the sums are with the solver";
+    case ZYGOS_STAGE_SOLVED:
+        return "an estimate waits to be adopted";
     }
     return UNKNOWN;
 }

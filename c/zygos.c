@@ -3,13 +3,22 @@
 #include <stddef.h>
 #include <string.h>
 
-#define MAGIC 0x5A59474Fu /* "ZYGO" */
-/* Calls of zygos_step() without a copy, for each with one, so that tasks have time. */
-#define PAUSES 3u
-/* Calls after which an estimate is adopted although an arc is being compared with the one before. */
-#define PATIENCE 4096u
+/* Calls after which an estimate is adopted although an arc is being compared with the one before, and without a cycle,
+   after which the bus counts as silent. */
+#define PATIENCE 512u
+/* Time constants of forgetting after which sums count as forgotten: 5 % are left. */
+#define FADED 3.0
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
+
+/* Programs that never call zygos_refine() do not link the refinement: these references need no definition. The
+   functions are there where a refinement is attached. */
+#pragma weak zygos_refine_init
+#pragma weak zygos_refine_start
+#pragma weak zygos_refine_cycle
+#pragma weak zygos_refine_step
+#pragma weak zygos_refine_scrub
+#pragma weak zygos_refine_judge
 
 /* ---------------------------------------------------------------- what was given */
 
@@ -81,7 +90,7 @@ static bool is_same(const zygos_given_t *a, const zygos_given_t *b)
 /* One flipped bit of the magic number is none. */
 static bool is_begun(const zygos_t *self)
 {
-    const uint32_t off = self->magic ^ MAGIC;
+    const uint32_t off = self->magic ^ ZYGOS_BEGUN;
     return (off & (off - 1u)) == 0;
 }
 
@@ -154,7 +163,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config, void *memory, uint32
     const int verdict = zygos_arm_init(&self->state, config);
     if (verdict == 1) {
         self->state.guard.adopting = 1;
-        self->magic = MAGIC;
+        self->magic = ZYGOS_BEGUN;
     }
     return verdict;
 }
@@ -348,7 +357,7 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
         in_place_of(given)->of = self->restarts;
     } else {
         if ((self->handover.kind == 0) && (self->handover.cut == 0) && (self->handover.waited == 0)) {
-            if (self->rested < PAUSES * self->copied) {
+            if (self->rested < self->copied) { /* the tasks that have waited proceed */
                 return;
             }
             self->copied = 0;
@@ -420,19 +429,19 @@ static int patrol(zygos_t *self, const zygos_given_t *given)
     return zygos_patrol_part(&self->patrol, &self->state, config_of(given)) ? 0 : mend(self, given);
 }
 
-/* The parts that are common to frames and cycles. Returns whether a cycle may be processed. */
-static bool prepare(zygos_t *self, zygos_given_t *given)
+/* Repairs what a flipped bit has changed of what was given, and returns it. */
+static zygos_given_t prepare(zygos_t *self)
 {
-    *given = given_to(self);
+    const zygos_given_t given = given_to(self);
     for (uint32_t i = 0; i < 3u; i++) { /* the others read this at any time: nothing is written where nothing flipped */
-        if (!is_same(&self->given[i], given)) {
-            self->given[i] = *given;
+        if (!is_same(&self->given[i], &given)) {
+            self->given[i] = given;
         }
     }
-    if (self->magic != MAGIC) {
-        self->magic = MAGIC;
+    if (self->magic != ZYGOS_BEGUN) {
+        self->magic = ZYGOS_BEGUN;
     }
-    return attend(self, given);
+    return given;
 }
 
 int zygos_step(zygos_t *self)
@@ -443,18 +452,29 @@ int zygos_step(zygos_t *self)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    zygos_given_t given;
-    if (!prepare(self, &given)) {
+    const zygos_given_t given = prepare(self);
+    int mended = decode(self, false) ? 0 : mend(self, &given);
+    if (mended < 0) {
+        return mended;
+    }
+    /* Estimates depend on the cycles alone, and not on how often this is called, unless the bus is silent, or nothing
+       on it makes a cycle, for which a configuration that was changed may be the reason. */
+    const bool waits = (zygos_receiver_front(&self->state.receiver) != NULL);
+    self->quiet = waits ? 0u : self->quiet + 1u;
+    if (waits || (self->quiet > PATIENCE)) {
+        self->quiet = waits ? 0u : PATIENCE;
+        if (!attend(self, &given)) {
+            return 0;
+        }
+        mended = patrol(self, &given);
+        if (mended < 0) {
+            return mended;
+        }
+    }
+    if (!waits) {
         return 0;
     }
-    int mended = decode(self, false) ? 0 : mend(self, &given);
-    /* Also without a cycle: a configuration that was changed may be why none is complete. */
-    mended = (mended < 0) ? mended : patrol(self, &given);
-    const zygos_cycle_t *cycle = (mended < 0) ? NULL : zygos_receiver_front(&self->state.receiver);
-    if (cycle == NULL) {
-        return (mended < 0) ? mended : 0;
-    }
-    refine(self, &given, cycle);
+    refine(self, &given, zygos_receiver_front(&self->state.receiver));
     int stepped = zygos_arm_step(&self->state);
     if (stepped < 0) {
         mended = mend(self, &given);
@@ -471,8 +491,8 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if (!is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    zygos_given_t given;
-    if (!prepare(self, &given)) {
+    const zygos_given_t given = prepare(self);
+    if (!attend(self, &given)) {
         return 0;
     }
     int mended = patrol(self, &given);
@@ -483,24 +503,6 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     }
     refine(self, &given, (stepped > 0) ? cycle : NULL);
     return stepped;
-}
-
-int zygos_refine(zygos_t *self, zygos_refine_t *refine, const zygos_refine_settings_t *settings, uint32_t slices)
-{
-    if ((self == NULL) || (refine == NULL) || (settings == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    if (!is_begun(self)) {
-        return ZYGOS_E_ORDER;
-    }
-    zygos_given_t given = given_to(self);
-    const int verdict = zygos_refine_init(refine, config_of(&given), settings);
-    if (verdict == 1) {
-        given.refine = (uintptr_t)refine;
-        given.slices = slices;
-        give(self, &given);
-    }
-    return verdict;
 }
 
 int zygos_restart(zygos_t *self, uint32_t keep)
@@ -575,7 +577,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config, void *memory, uint
     }
     self->state.restored = self->state.cycle;
     self->state.guard.adopting = 1;
-    self->magic = MAGIC;
+    self->magic = ZYGOS_BEGUN;
     return 1;
 }
 
@@ -586,12 +588,39 @@ static void compare(zygos_background_t *background)
 {
     zygos_estimate_t *before = &background->estimate;
     const int compared = zygos_detect_change(&background->work, before, background->deviation);
-    background->changed = 0;
+    uint32_t differs = 0;
     for (uint32_t i = 0; (compared == 1) && (before->validity == (uint32_t)ZYGOS_VALID) && (i < before->parameters) &&
                          (i < (uint32_t)ZYGOS_MAX_PARAMETERS);
          i++) {
         const double deviation = background->deviation[i];
-        background->changed |= ((deviation >= ZYGOS_CHANGE_ALARM) || (deviation <= -ZYGOS_CHANGE_ALARM)) ? 1u : 0u;
+        differs |= ((deviation >= ZYGOS_CHANGE_ALARM) || (deviation <= -ZYGOS_CHANGE_ALARM)) ? 1u : 0u;
+    }
+    if (differs != 0) {
+        background->changed = 1;
+        background->changed_of = background->of;
+        background->unchanged = before->cycle;
+    }
+}
+
+/* The share that sums from before a cycle still have, by the factor of forgetting. */
+static bool has_faded(const zygos_config_t *config, uint64_t cycles)
+{
+    const double factor = config->forgetting_factor;
+    return (factor < 1.0) && ((double)cycles * (1.0 - factor) > FADED);
+}
+
+/* The values are those of both arms, as long as the sums have both. */
+static void doubt(zygos_background_t *background, const zygos_config_t *config)
+{
+    zygos_estimate_t *estimate = &background->estimate;
+    const bool gone = (background->changed_of != background->of) || (estimate->since >= background->unchanged) ||
+                      (estimate->cycle < background->unchanged) ||
+                      has_faded(config, estimate->cycle - background->unchanged);
+    background->changed = gone ? 0u : background->changed;
+    estimate->changed = background->changed;
+    if ((estimate->changed != 0) && (estimate->validity >= (uint32_t)ZYGOS_PARTIAL)) {
+        estimate->validity = ZYGOS_DOUBTFUL;
+        estimate->reason = ZYGOS_REASON_CHANGED;
     }
 }
 
@@ -609,11 +638,13 @@ static void solve_copy(zygos_background_t *background, const zygos_config_t *con
     zygos_estimate_t *estimate = &background->estimate;
     zygos_work_t *work = &background->work;
     (void)zygos_work_solve(work, estimate);
-    estimate->changed = background->changed;
-    background->adopted = zygos_guard_adopt(&work->guard, config, &work->column_map, &work->accumulator,
-                                            &work->motor_sums, &work->momentum_sums, &work->joint_sums, estimate)
-                              ? 1u
-                              : 0u;
+    doubt(background, config);
+    background->adopted = 0;
+    if ((estimate->changed == 0) &&
+        zygos_guard_adopt(&work->guard, config, &work->column_map, &work->accumulator, &work->motor_sums,
+                          &work->momentum_sums, &work->joint_sums, estimate)) {
+        background->adopted = 1;
+    }
     background->compares = (estimate->blocks >= ZYGOS_CHANGE_MIN_BLOCKS) ? 1u : 0u;
 }
 

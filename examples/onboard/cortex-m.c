@@ -11,6 +11,7 @@
 
 static uart_t line;
 static slcan_t adapter;
+static volatile uint32_t received; /* since the task ran */
 
 void uart_receive_interrupt(void)
 {
@@ -23,6 +24,7 @@ void uart_receive_interrupt(void)
         }
         if (slcan_take(&adapter, character, &frame, answer) == 1) {
             flight_receive(&frame);
+            received = 1;
         }
         (void)uart_send(&line, answer);
     }
@@ -72,11 +74,12 @@ int main(void)
     core_enable(CORE_UART_TRANSMIT);
     for (;;) {
         flight_task();
-        (void)flight_solve(); /* the ring holds what comes meanwhile */
+        (void)flight_solve(); /* frames wait meanwhile */
         core_mask();
-        if (flight_waiting() == 0) {
+        if (received == 0u) {
             core_sleep();
         }
+        received = 0;
         core_unmask();
     }
 }

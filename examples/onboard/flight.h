@@ -22,25 +22,22 @@ typedef struct {
 /// Start-up: continues with a stored state (returns 2) or initialises the library (returns 1, or an enum zygos_error).
 int flight_start(void);
 
-/// Receive interrupt: copies the frame into a ring buffer, without floating point. There must be one caller.
+/// Receive interrupt: without floating point. There must be one caller.
 void flight_receive(const zygos_frame_t *frame);
-
-/// 1 while frames wait in the ring.
-int flight_waiting(void);
 
 /// The task of each SYNC period: processes the frames that were received. flight_receive() may interrupt it, and it may
 /// interrupt flight_solve().
 void flight_task(void);
 
-/// The background task: solves when the other task has provided a copy of the sums, and sends telemetry. Returns the
-/// estimate, which is valid until the next call, or null.
+/// The background task: solves when the other task has copied the sums, and sends telemetry. Returns the estimate,
+/// which is valid until the next call, or null.
 const zygos_estimate_t *flight_solve(void);
 
 /// Returns the estimate in use. Read it in the task that solves, or where that task cannot interrupt.
 const flight_learned_t *flight_learned(void);
 
-/// Stores the state, unless memory errors have changed it. Call it in the task of the SYNC period; frames may arrive
-/// meanwhile. flight_solve() must not run any more, because the check uses its memory. Returns 1 or 0.
+/// Stores the state, unless memory errors have changed it beyond repair. Call it in the task of the SYNC period. Where
+/// power may fail meanwhile, keep two places and write them in turn: a CRC tells a half-written one. Returns 1 or 0.
 int flight_store(void);
 
 /// Function of the port: sends a frame, or drops it when the buffer is full; it never waits.

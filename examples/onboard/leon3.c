@@ -100,6 +100,6 @@ void begin(void)
     }
     for (;;) {
         flight_task();
-        (void)flight_solve(); /* the ring holds what comes meanwhile */
+        (void)flight_solve(); /* frames wait meanwhile */
     }
 }

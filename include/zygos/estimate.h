@@ -41,6 +41,14 @@ enum zygos_reason {
 /// the energy rows.
 enum zygos_rows { ZYGOS_ENERGY_ROWS = 0, ZYGOS_MOTOR_ROWS = 1, ZYGOS_MOMENTUM_ROWS = 2, ZYGOS_KINDS_OF_ROWS = 3 };
 
+/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on.
+enum zygos_stage {
+    ZYGOS_STAGE_IDLE = 0,
+    ZYGOS_STAGE_ASKED = 1, ///< The task copies the sums.
+    ZYGOS_STAGE_GIVEN = 2, ///< The copy belongs to the background.
+    ZYGOS_STAGE_SOLVED = 3 ///< The estimate waits to be adopted.
+};
+
 /// An estimate of all parameters.
 typedef struct {
     uint64_t cycle;    ///< SYNC number of the newest cycle in the sums.
@@ -55,13 +63,14 @@ typedef struct {
     uint32_t rank;       ///< Number of independent columns.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Number of excluded arcs, by enum zygos_rows, including open ones.
     uint32_t consecutive;                   ///< Number of consecutive newest arcs of energy rows that were excluded.
-    uint32_t changed;   ///< 1: the newest arc differs from those before by more than noise (ZYGOS_CHANGE_ALARM).
-    uint32_t restored;  ///< 1: some of the sums are of a stored state (zygos_resume()).
-    uint64_t unused;    ///< Number of SYNCs since a row was added last (zygos_solve() alone tells).
-    double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
-    double cluster;     ///< The statistic of ZYGOS_CLUSTER_LIMIT: around 1 for noise, at most the instants of a block.
-    double residual;    ///< Root mean square of W - row . x without the constants of the arcs [J]; where joint rows
-                        ///< alone are solved, of these [Nms], divided by the torque's deviation if all are declared.
+    uint32_t changed;  ///< 1: an arc differed from those before by more than noise, and these are in the sums (doubtful
+                       ///< with ZYGOS_REASON_CHANGED, by zygos_solve() alone).
+    uint32_t restored; ///< 1: some of the sums are of a stored state (zygos_resume()).
+    uint64_t unused;   ///< Number of SYNCs since a row was added last (zygos_solve() alone tells).
+    double condition;  ///< 1-norm condition of the scaled normal matrix of the independent columns.
+    double cluster;    ///< The statistic of ZYGOS_CLUSTER_LIMIT: around 1 for noise, at most the instants of a block.
+    double residual;   ///< Root mean square of W - row . x without the constants of the arcs [J]; where joint rows
+                       ///< alone are solved, of these [Nms], divided by the torque's deviation if all are declared.
     double noise_ratio; ///< Square of residual over the share of the declared noise in it; NaN where none is declared.
     double signal_to_noise; ///< The ratio of ZYGOS_MIN_SIGNAL_TO_NOISE; infinite where no noise is declared.
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1; or 0, and value and sigma are NaN.

@@ -46,6 +46,9 @@ const char *zygos_base_text(uint32_t base);
 const char *zygos_torque_law_text(uint32_t torque_law);
 const char *zygos_effect_text(uint32_t kind);
 
+/// Text of where a solution is, enum zygos_stage.
+const char *zygos_stage_text(uint32_t stage);
+
 /// Text of a kind of snapshot, enum zygos_snapshot_kind.
 const char *zygos_snapshot_kind_text(uint32_t kind);
 

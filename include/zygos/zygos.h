@@ -74,10 +74,11 @@ typedef struct {
     double deviation[ZYGOS_MAX_PARAMETERS]; ///< and these are the deviations of the newest arc from it.
     uint32_t of;                            ///< zygos_t.restarts when the copy was made.
     uint32_t compares;                      ///< 1: this copy is for a comparison, and not for an estimate.
-    uint32_t changed;                       ///< 1: the newest comparison has found another arm.
+    uint32_t changed;                       ///< 1: a comparison has found another arm,
+    uint32_t changed_of;                    ///< when zygos_t.restarts was this.
+    uint64_t unchanged;                     ///< The newest cycle of the arm before.
     uint32_t corrupt;                       ///< Estimates in a row whose sums were corrupt.
     uint32_t adopted;                       ///< 1: the estimate can be adopted.
-    uint32_t reserved;
 } zygos_background_t;
 
 /// Memory for solutions without a copy of the sums: while one is computed, frames wait, and arcs end before it. There
@@ -101,13 +102,8 @@ typedef struct {
     uint32_t reserved;
 } zygos_given_t;
 
-/// Where a solution is. The background moves it from idle to asked and from given to solved, the task moves it on.
-enum zygos_stage {
-    ZYGOS_STAGE_IDLE = 0,
-    ZYGOS_STAGE_ASKED = 1, ///< The task copies the sums.
-    ZYGOS_STAGE_GIVEN = 2, ///< The copy belongs to the background.
-    ZYGOS_STAGE_SOLVED = 3 ///< The estimate waits to be adopted.
-};
+/// zygos_t.magic of an arm that zygos_init() or zygos_resume() has prepared.
+#define ZYGOS_BEGUN 0x5A59474Fu
 
 /// One arm. The program may read the counters, and in its task state and refined; only the calls below change them.
 typedef struct {
@@ -119,13 +115,14 @@ typedef struct {
     uint32_t overrun_counted; ///< Of overrun, what state.receiver.faults has.
     uint64_t repairs;         ///< Times that memory was found changed and repaired.
     uint64_t losses;          ///< Times that it could not be repaired, and the estimation began anew.
-    uint64_t rested;          ///< Calls of zygos_step() since the sums were copied last.
-    uint64_t copied;          ///< Calls that this took.
-    uint32_t waited;          ///< Calls for which an estimate has waited to be adopted.
+    uint64_t rested;          ///< Cycles since the sums were copied last.
+    uint64_t copied;          ///< Cycles that this took.
+    uint32_t waited;          ///< Cycles for which an estimate has waited to be adopted.
     uint32_t refining;        ///< 1: the background has the memory of the refinement.
     uint32_t refines_anew;    ///< 1: what is refined is another arm's.
-    uint32_t restarts;        ///< Times, modulo 2^32, that the sums were given up: zygos_restart(), and memory beyond
-                              ///< repair.
+    uint32_t quiet;           ///< Calls in a row without a cycle.
+    uint32_t restarts;        ///< Times that the sums were given up: zygos_restart(), and memory beyond repair.
+    uint32_t reserved;
     zygos_given_t given[3];
     zygos_handover_t handover;
     zygos_patrol_t patrol;

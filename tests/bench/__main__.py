@@ -3,7 +3,8 @@
     python -m bench [out/bench.json [CONFIGURATION ...]]
 
 Writes the file, a copy to docs/bench.json, and the tables of README.md and docs/cost.md from it. If configurations are
-named, only their instructions and bytes are measured, and the rest is taken from docs/bench.json.
+named, only their instructions and bytes are measured, and the rest is taken from docs/bench.json. The name `solutions`
+stands for the dearest solution.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from bench import cortex, peers, tables
+from bench import cortex, peers, solutions, tables
 from bench.configurations import BARE, CONFIGURATIONS
 from bench.rows import FOLDER, TARGETS, measure
 from conftest import ROOT
@@ -31,6 +32,8 @@ from zygos.report.provenance import measured_commit
 PROFILED = ("paper, bare", "seven, bare")
 
 
+SOLUTIONS = "solutions"
+"""What bench/solutions.py counts."""
 NO_VCAN = 3
 """Status of tools/with-vcan where there can be none."""
 
@@ -58,13 +61,21 @@ def versions() -> dict[str, str]:
 
 def chosen(path: Path, names: list[str]) -> None:
     """Measure the named configurations, and put them in place of what docs/bench.json has of them."""
-    unknown = [name for name in names if name not in CONFIGURATIONS]
+    possible = (*CONFIGURATIONS, SOLUTIONS)
+    unknown = [name for name in names if name not in possible]
     if unknown:
-        raise ZygosError(f"no configuration {unknown[0]!r}; remedy: use some of {' · '.join(CONFIGURATIONS)}")
+        raise ZygosError(f"no configuration {unknown[0]!r}; remedy: use some of {' · '.join(possible)}")
     content = json.loads(tables.COMMITTED.read_text())
+    if SOLUTIONS in names:
+        content[SOLUTIONS] = solutions.measure(FOLDER / SOLUTIONS)
     known = {(row["target"], row["configuration"], row["stage"]): row for row in content["rows"]}
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
-        jobs = {(target, name): pool.submit(measure, target, name) for target in TARGETS for name in names}
+        jobs = {
+            (target, name): pool.submit(measure, target, name)
+            for target in TARGETS
+            for name in names
+            if name != SOLUTIONS
+        }
         for (target, name), job in jobs.items():
             rows, found = job.result()
             known |= {(target, name, row["stage"]): row for row in rows}
@@ -125,6 +136,7 @@ def main(path: Path) -> None:
         "rows": [row for key in counted for row in results[key][0]],
         "peers": [asdict(peer) for peer in found],
         "frames_per_second": frames,
+        SOLUTIONS: solutions.measure(FOLDER / SOLUTIONS),
         "profiles": {target: {name: results[target, name][1] for name in PROFILED} for target in TARGETS},
     }
     store(path, content)

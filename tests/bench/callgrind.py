@@ -64,6 +64,8 @@ class Part:
         self.own: dict[str, int] = defaultdict(int)
         self.stages: dict[str, int] = defaultdict(int)
         self.total: dict[str, int] = defaultdict(int)
+        self.calls: dict[str, int] = defaultdict(int)
+        """How often each function was called."""
 
     def call(self, caller: str, room: str, callee_room: str, cost: int) -> None:
         """Book a call of a function of one file from another, and all that it cost."""
@@ -95,7 +97,7 @@ def parts(path: Path) -> Iterator[Part]:
         return names.setdefault(kind + number, name) if name else names[kind + number]
 
     part: Part | None = None
-    room = here = callee_room = function = ""
+    room = here = callee_room = function = callee = ""
     calling = False
     with path.open() as lines:
         for line in lines:
@@ -116,9 +118,11 @@ def parts(path: Path) -> Iterator[Part]:
             elif key in ("cfi", "cfl"):
                 callee_room = _room(named("f", value))
             elif key == "cfn":
-                named("n", value)
+                callee = named("n", value)
             elif key == "calls":
                 calling = True
+                if part is not None:
+                    part.calls[callee] += int(value.split()[0])
             elif line.startswith("desc: Trigger"):
                 if part is not None:
                     yield part

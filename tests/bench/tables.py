@@ -10,6 +10,7 @@ from typing import Any
 from bench import peers
 from bench.configurations import BARE, CONFIGURATIONS, JOINT_ROWS
 from bench.counting import ROOMS, TOGETHER
+from bench.solutions import dearest
 from conftest import ROOT
 from zygos.files.output import write_text
 
@@ -141,6 +142,7 @@ def _details(content: dict[str, Any]) -> str:
     out.append(_budgets(content, of))
     out.append(_most_expensive(of))
     out.append(_times(of))
+    out.append(_solutions(content["solutions"]))
     for name in CONFIGURATIONS:
         head = [f"{title}{what}" for title in TITLES.values() for what in ("", ", spread", ", most")]
         lines = []
@@ -262,6 +264,36 @@ def _most_expensive(of: dict[tuple[str, str, str], dict[str, Any]]) -> str:
         "\n### Most expensive cycle, relative to the mean of a full cycle\n\n"
         "Of all cycles, and of those in which an arc that has ended waits until the one before it is closed.\n\n"
         + _table(("configuration", *head), lines)
+    )
+
+
+def _solutions(measured: dict[str, Any]) -> str:
+    """What solutions cost by their answer, beside the first of their configuration."""
+    cases = measured["cases"]
+    first = {one["configuration"]: one for one in reversed(cases)}
+    titles = {name: _title(name, one["parameters"]) for name, one in first.items()}
+    lines = [
+        [
+            f"{_title(one['configuration'], one['parameters'])}: {one['case']}",
+            one["validity"] + (", without old arcs" if one["left_out"] else ""),
+            _number(one["factorisations"]),
+            _number(one["most"]),
+            _number(one["instructions"]),
+            _ratio(one["instructions"], first[one["configuration"]]["instructions"]),
+        ]
+        for one in cases
+    ]
+    found = []
+    for name, title in reversed(titles.items()):
+        here = [one for one in cases if one["configuration"] == name]
+        found.append(f"{title} {dearest(here, 'instructions'):.2f}")
+    return (
+        "\n### Dearest solution\n\n"
+        f"On x86-64, with the usual capacities, of {measured['zygos']}. *Factorisations* are of order p, and *at most* "
+        "is what `include/zygos/priv/solver.h` states for the blocks of this state. What is valid is adopted, so that "
+        "old arcs may be left out. The dearest solution, divided by the dearest valid one for as many parameters: "
+        f"{' · '.join(found)}.\n\n"
+        + _table(("state", "answer", "factorisations", "at most", "instructions", "relative to the first"), lines)
     )
 
 

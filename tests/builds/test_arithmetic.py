@@ -28,13 +28,13 @@ int main(void) { printf("%d", zygos_arm_init(&arm, &config)); return 0; }
 def built(compiler: str, flags: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """Compile the library and a program that initialises an arm of no joints."""
     (folder / "main.c").write_text(PROGRAM)
-    flags = f"-std=c11 -O2 -ffp-contract=off -DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0 {flags}"
+    flags = f"-std=c11 -O1 -ffp-contract=off -DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0 {flags}"
     sources = ["main.c", *map(str, sorted((ROOT / "c").glob("*.c")))]
     command = [tool(compiler), *flags.split(), f"-I{ROOT / 'include'}", *sources, "-lm", "-o", "program"]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.slow(but=["gcc--ffinite-math-only", "clang--fno-honor-nans"])
+@pytest.mark.slow(but=["gcc--ffinite-math-only"])
 @pytest.mark.parametrize(("compiler", "flag"), CASES)
 def test_unsafe_arithmetic_is_refused(compiler: str, flag: str, tmp_path: Path) -> None:
     done = built(compiler, flag, tmp_path)
@@ -46,6 +46,7 @@ def test_unsafe_arithmetic_is_refused(compiler: str, flag: str, tmp_path: Path) 
     assert ran.stdout == "-27"
 
 
+@pytest.mark.slow(but=["gcc"])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_usual_flags_are_accepted(compiler: str, tmp_path: Path) -> None:
     assert built(compiler, "-fno-math-errno", tmp_path).returncode == 0

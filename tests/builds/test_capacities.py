@@ -85,7 +85,7 @@ def test_the_same_capacities_link_however_they_were_given(link: str, tmp_path: P
 
 
 def test_arithmetic_of_another_width_is_refused(tmp_path: Path) -> None:
-    command = [tool("gcc"), "-std=c11", "-mfpmath=387", INCLUDE, "-c", str(ROOT / "c" / "zygos.c")]
+    command = [tool("gcc"), "-std=c11", "-mfpmath=387", INCLUDE, "-c", str(ROOT / "c" / "arm.c")]
     done = subprocess.run([*command, "-o", str(tmp_path / "o.o")], capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "zygos needs doubles that are rounded to double after each operation; remedy:" in done.stderr
@@ -102,8 +102,8 @@ CAPACITIES = [
 
 @pytest.mark.parametrize("capacities", CAPACITIES, ids=str)
 def test_the_memory_of_a_build_is_what_its_compiler_says(capacities: dict[str, int], tmp_path: Path) -> None:
-    source = '#include "zygos/zygos.h"\nchar configuration[sizeof(zygos_config_t)], state[sizeof(zygos_arm_t)], '
-    source += "work[sizeof(zygos_work_t)], estimate[sizeof(zygos_estimate_t)];\n"
+    source = '#include "zygos/zygos.h"\nchar configuration[sizeof(zygos_config_t)], arm[sizeof(zygos_t)], '
+    source += "background[sizeof(zygos_background_t)], estimate[sizeof(zygos_estimate_t)];\n"
     (tmp_path / "sizes.c").write_text(source)
     flags = [f"-DZYGOS_{name}={value}" for name, value in capacities.items()]
     out = str(compiled("gcc", tmp_path / "sizes.c", tmp_path, *flags))

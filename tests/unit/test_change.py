@@ -209,7 +209,7 @@ def test_the_deviation_in_closed_form(seed: int) -> None:
 
 
 def test_the_limits_are_those_of_the_library() -> None:
-    header = (Path(__file__).parents[2] / "include" / "zygos" / "solver.h").read_text()
+    header = (Path(__file__).parents[2] / "include" / "zygos" / "priv" / "solver.h").read_text()
     for name, value in (
         ("CHANGE_ALARM", CHANGE_ALARM),
         ("MIN_SIGNAL_TO_NOISE", MIN_SIGNAL_TO_NOISE),

@@ -62,7 +62,7 @@ def test_every_column_has_its_kind_in_the_flight_library() -> None:
 
 
 def test_catalogue_and_flight_library_agree_on_what_they_share() -> None:
-    header = (ROOT / "include" / "zygos" / "effects.h").read_text()
+    header = (ROOT / "include" / "zygos" / "priv" / "effects.h").read_text()
     found = re.search(r"#define ZYGOS_COULOMB_FULL_RATE (\S+)", header)
     assert found is not None
     assert float(found[1]) == SLOWEST_RATE

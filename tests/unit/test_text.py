@@ -30,6 +30,7 @@ TEXTS = {
     "zygos_torque_law": lib.zygos_torque_law_text,
     "zygos_effect_kind": lib.zygos_effect_text,
     "zygos_snapshot_kind": lib.zygos_snapshot_kind_text,
+    "zygos_stage": lib.zygos_stage_text,
 }
 BITS = {
     "zygos_cycle_flag",

@@ -120,7 +120,7 @@ def header(flight: Flight, source: str) -> str:
             + ".",
             "//",
             f"// With the fewest blocks: {options(smaller)}",
-            f"// Solved in place (zygos_arm_solve()), it takes {sum(in_place.values()):,} bytes: "
+            f"// With a zygos_in_place_t it takes {sum(in_place.values()):,} bytes: "
             + ", ".join(f"{what} {size:,}" for what, size in in_place.items())
             + ".",
             "",
@@ -144,7 +144,7 @@ def header(flight: Flight, source: str) -> str:
             "#pragma GCC system_header // no warning: C++17 compilers know the designated initialisers of C and C++20",
             "#endif",
             "",
-            "/// What zygos_arm_init() is given.",
+            "/// What zygos_init() is given.",
             "static const zygos_config_t arm_config = {",
             *_fields(config, "    "),
             "};",

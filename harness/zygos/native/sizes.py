@@ -32,17 +32,24 @@ def _structs(given: Mapping[str, int]) -> str:
     macros = {name: str(value) for name, value in given.items()} | {"ZYGOS_DECLARATIONS_ONLY": "1"}
     kept: list[str] = []
     taken: list[bool] = []
+    done: list[bool] = []  # whether an earlier branch of each was taken
     for line in _HEADERS.read_text().replace("\\\n", " ").splitlines():
         directive, _, rest = line.removeprefix("#").partition(" ") if line.startswith("#") else ("", "", line)
         match directive:
             case "ifdef" | "ifndef":
                 taken.append((rest.strip() in macros) == (directive == "ifdef"))
+                done.append(False)
             case "if":
                 taken.append(all(taken) and bool(_value(rest, macros)))
+                done.append(False)
+            case "elif":
+                done[-1] = done[-1] or taken[-1]
+                taken[-1] = all(taken[:-1]) and not done[-1] and bool(_value(rest, macros))
             case "else":
-                taken[-1] = not taken[-1]
+                taken[-1] = not (taken[-1] or done[-1])
             case "endif":
                 taken.pop()
+                done.pop()
             case "define" if all(taken) and (found := re.fullmatch(r"(\w+) +(.+)", rest.strip())):
                 macros[found[1]] = found[2]
             case "" if all(taken):
@@ -57,18 +64,16 @@ def _structs(given: Mapping[str, int]) -> str:
 def _sizes(given: tuple[tuple[str, int], ...]) -> dict[str, int]:
     binding = FFI()
     binding.cdef(_structs(dict(given)))
-    structs = {"configuration": "config", "state": "", "work": "work", "solver": "solver", "estimate": "estimate"}
-    return {
-        name: int(binding.sizeof(f"zygos_{struct}_t" if struct else "zygos_arm_t")) for name, struct in structs.items()
-    }
+    structs = {"configuration": "zygos_config_t", "arm": "zygos_t", "background": "zygos_background_t"}
+    structs |= {"in_place": "zygos_in_place_t", "estimate": "zygos_estimate_t"}
+    return {name: int(binding.sizeof(struct)) for name, struct in structs.items()}
 
 
 def memory(capacities: Mapping[str, int], *, in_place: bool = False) -> dict[str, int]:
-    """Bytes of a build with these capacities, by macro: ``configuration``, ``state``, ``work``, ``estimate``.
+    """Bytes of a build with these capacities, by macro: ``configuration``, ``arm``, ``background``, ``estimate``.
 
-    in_place: with ``solver`` instead of ``work``, for `zygos_arm_solve()`. A capacity that is missing has its
-    default. The state has a copy of the configuration; the constant that it is initialised with is memory of its own,
-    which may be read-only.
+    in_place: with ``in_place`` instead of ``background``. A capacity that is missing has its default. The arm has a
+    copy of the configuration; the constant that it is initialised with is memory of its own, which may be read-only.
     """
-    needless = "work" if in_place else "solver"
+    needless = "background" if in_place else "in_place"
     return {name: size for name, size in _sizes(tuple(sorted(capacities.items()))).items() if name != needless}

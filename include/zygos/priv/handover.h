@@ -3,8 +3,8 @@
 /// What the rows of each cycle change is copied at one moment, which costs less than a row: the cut. All other sums of
 /// that kind of rows are changed by tasks alone (accumulator.h). These wait from the cut on until the rest has been
 /// copied, by a part in each cycle, so that the copy is what zygos_arm_take() would have copied at the moment of the
-/// cut. The kinds of rows follow each other, each with a cut of its own. Where sums are dropped meanwhile, the kind
-/// begins again.
+/// cut. A part is a block or a table: how many there are does not depend on the capacities. The kinds of rows follow
+/// each other, each with a cut of its own. Where sums are dropped meanwhile, the kind begins again.
 
 #ifndef ZYGOS_HANDOVER_H
 #define ZYGOS_HANDOVER_H
@@ -17,8 +17,6 @@
 extern "C" {
 #endif
 
-/// The least number of words of eight bytes that are copied in a cycle.
-#define ZYGOS_HANDOVER_LEAST 256u
 /// Cycles after which a cut no longer waits for the moment at which it costs the least.
 #define ZYGOS_HANDOVER_PATIENCE 512u
 /// How often a kind of rows begins again before the rest of it is copied at once.
@@ -28,12 +26,10 @@ extern "C" {
 typedef struct {
     uint32_t kind;    ///< enum zygos_rows, ZYGOS_JOINT_KIND, then ZYGOS_GUARD_KIND; ZYGOS_HANDOVER_KINDS: done.
     uint32_t cut;     ///< 1: the cut of this kind was made.
-    uint32_t piece;   ///< Of the rest of it, the next piece,
-    uint32_t offset;  ///< and how many words of that were copied.
+    uint32_t unit;    ///< Of the rest of it, the next block or table.
     uint32_t waited;  ///< Cycles for which the cut has waited.
     uint32_t tries;   ///< How often this kind has begun again.
     uint32_t dropped; ///< zygos_arm_t.dropped at the cut.
-    uint32_t reserved;
     uint8_t apart[ZYGOS_ORDER_PLACES]; ///< 1: the cut has copied this block of energy rows.
 } zygos_handover_t;
 
@@ -49,8 +45,7 @@ void zygos_handover_begin(zygos_handover_t *self);
 uint32_t zygos_handover_held(const zygos_handover_t *self);
 
 /// Copies the next part. Call it before a cycle is processed. Needs a state that was initialised. Returns whether all
-/// is copied; work->config is the caller's to copy. Cost: a cut, or ZYGOS_HANDOVER_LEAST words, a block of energy rows
-/// if that is more.
+/// is copied; work->config is the caller's to copy. Cost: a cut, or the copy of a block.
 bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work);
 
 #ifdef __cplusplus

@@ -136,6 +136,8 @@ typedef struct {
     double alone;                        ///< Squared residuals of the energy rows solved alone [J^2].
     double gain_value[ZYGOS_MAX_JOINTS]; ///< Where they are held.
     double gain_cost[ZYGOS_MAX_JOINTS];  ///< Root of what a unit of information on each of them costs in variance.
+    double gain_reference;               ///< Deviation of the error of the sensor that the gains are relative to.
+    double gain_ratios;                  ///< Sum over the gains of its square over theirs.
     double spread;                       ///< Sum of the squared work without the constants of the arcs [J^2].
     struct {
         uint32_t first;
@@ -170,9 +172,17 @@ typedef struct {
 /// Solves the normal equations in *work, which is changed, and writes *out. If zygos_arm_adopt() is in use, and the
 /// estimate is not valid because the residuals are larger than noise, the solution is repeated without the oldest
 /// quarter and without the older half of the arcs; the first of these that is valid and has far smaller residuals is
-/// the answer, and out->since is the newest cycle that was excluded. Cost: at the most (2 blocks + 4) Cholesky
-/// factorisations of order p, or up to four times as many if it is repeated. Returns 1 when there are values, 0 when
-/// validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
+/// the answer, and out->since is the newest cycle that was excluded. Returns 1 when there are values, 0 when validity
+/// is ZYGOS_REFUSED, or ZYGOS_E_NULL.
+///
+/// Cost: Cholesky factorisations of order p. B is the number of blocks of energy, motor and momentum rows, and with
+/// joint rows that take part also ZYGOS_JOINT_GROUPS; the jackknife needs one for each of them. To weigh the rows takes
+/// c = 1, and 4 more if other rows are beside energy rows, 4 more for momentum rows, and 8 more for joint rows beside
+/// energy rows. A solution needs at the most B + c + 6 factorisations, or B + 2 c + 14 if gains of torque sensors are
+/// estimated: never more than B + 48. Without old arcs there are at the most two more solutions, each of fewer energy
+/// blocks and without joint rows, so that they need at the most B + 32: together never more than 3 B + 112, and 336
+/// with the usual capacities. Their jackknife is left out unless the balance closes with far smaller residuals, so that
+/// a refused solution costs hardly more than a valid one (docs/cost.md).
 int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out);
 
 /// The parts of zygos_arm_solve(): whether the sums match, the solution, and the estimate where they do
