@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.effects import Effect
 from zygos.errors import ZygosError
-from zygos.native import flight
+from zygos.native import flight, snapshot
 from zygos.native.flight import FRAME, Flight
 
 HEAD = 24
@@ -104,6 +104,7 @@ class Twin(Flight):
 
     def resume(self, path: Path) -> None:
         """Continue with a stored state, as zygos-node at its start. Errors: ZygosError where it cannot be used."""
+        snapshot.read(path, "state")  # whose errors name the file
         self.saved = path.read_bytes()
         self._begin(self.saved)
 
