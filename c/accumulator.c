@@ -1348,7 +1348,8 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
     bool whole = zygos_accumulator_steady(self) && is_count(self->segment);
     for (uint32_t r = self->fresh; r < self->count; r++) {
         const zygos_block_t *block = zygos_accumulator_at(self, r);
-        whole = whole && (block->checksum == 0) && is_count(block->instants) && is_twice(block->variance);
+        whole = whole && (block->checksum == 0) && is_count(block->instants) && is_twice(block->variance) &&
+                (zygos_gram_check(block->gram, width, block->sum, block->instants) <= 1.0);
     }
     const double adds = NOISE_ADDS * (double)self->accepted;
     for (uint32_t b = 0; whole && (b < ZYGOS_ROW_BUFFERS); b++) {

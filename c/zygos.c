@@ -289,8 +289,9 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     }
     const uint32_t node = frame->id & 0x7Fu;
     const bool own = ((node < 32u) && (((nodes >> node) & 1u) != 0)) || (frame->id == ZYGOS_ID_SYNC) ||
-                     (node == ZYGOS_NODE_COMPUTER) || (frame->flags != 0);
-    if (!own) {
+                     (frame->id == ZYGOS_ID_TPDO3 + ZYGOS_NODE_COMPUTER);
+    const bool error = (frame->flags & (uint32_t)ZYGOS_FRAME_ERROR) != 0;
+    if (!error && (!own || (frame->flags != 0))) {
         return 0;
     }
     const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_RELAXED);
@@ -320,6 +321,10 @@ static int mend(zygos_t *self, const zygos_given_t *given)
     self->state.held = 0;
     const int found = zygos_arm_scrub(&self->state, config_of(given));
     memset(&self->patrol, 0, sizeof self->patrol);
+    if (found == 0) {
+        self->state.dropped++; /* tasks were finished at once: the kind of rows that is being copied begins again */
+        return 0;
+    }
     copy_anew(self);
     if (found == ZYGOS_E_CONFIG) {
         return found;
@@ -329,10 +334,10 @@ static int mend(zygos_t *self, const zygos_given_t *given)
         self->state.guard.adopting = 1;
         self->losses++;
         give_up(self);
-    } else if (found > 0) {
+    } else {
         self->repairs++;
     }
-    return (found != 0) ? 1 : 0;
+    return 1;
 }
 
 /* ---------------------------------------------------------------- the task */
@@ -413,6 +418,7 @@ static void adopt(zygos_t *self, const zygos_given_t *given)
     if (*corrupt > 0) {
         if ((mend(self, given) == 0) && (*corrupt >= CORRUPT)) {
             (void)zygos_arm_restart(arm, (uint32_t)ZYGOS_KEEP_FAULTS);
+            self->losses++;
             give_up(self);
         }
     } else if (current && ((background == NULL) || (estimate->since > 0))) {
@@ -587,19 +593,22 @@ int zygos_step(zygos_t *self)
     if (mended < 0) {
         return mended;
     }
-    /* Estimates depend on the cycles alone, and not on how often this is called, unless the bus is silent. */
-    const bool waits = is_complete(&self->state.receiver);
+    /* Estimates depend on the cycles alone, and not on how often this is called, unless the bus is silent, or nothing
+       on it makes a cycle, for which a configuration that was changed may be the reason. */
+    const bool waits = (is_complete(&self->state.receiver));
     self->quiet = waits ? 0u : self->quiet + 1u;
-    if ((waits || (self->quiet > PATIENCE)) && !attend(self, given)) {
-        return 0;
+    if (waits || (self->quiet > PATIENCE)) {
+        self->quiet = waits ? 0u : PATIENCE;
+        if (!attend(self, given)) {
+            return 0;
+        }
+        mended = patrol(self, given);
+        if (mended < 0) {
+            return mended;
+        }
     }
     if (!waits) {
-        self->quiet = (self->quiet > PATIENCE) ? PATIENCE : self->quiet;
         return 0;
-    }
-    mended = patrol(self, given);
-    if (mended < 0) {
-        return mended;
     }
     if (given->refine != 0) {
         refine(self, given, zygos_receiver_front(&self->state.receiver));

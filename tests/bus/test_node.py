@@ -25,10 +25,10 @@ from node_support import (
     TELEMETRY,
     Log,
     Node,
+    Teller,
     build,
     compiled,
     frame_of,
-    hear,
     image,
     packet,
     saved,
@@ -44,8 +44,9 @@ from zygos.can.rounds import rounds
 from zygos.effects import effect
 from zygos.model.model import Model
 from zygos.native import snapshot
-from zygos.native.flight import Flight, encode
+from zygos.native.flight import encode
 from zygos.simulation.scenario import Scenario
+from zygos.testing.twin import Twin
 
 HEARTBEAT = 0x720
 NODE = ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")
@@ -89,8 +90,8 @@ def test_what_is_saved_is_the_librarys_own_memory(
     with Node("--config", config, "--state", state) as node:
         node.send(sent)
         counters = node.end()
-    flight = Flight(arm)
-    hear(flight, sent)
+    flight = Twin(arm)
+    flight.hear(sent)
     assert saved(state) == image(flight)
     faults = {name.removeprefix("fault_"): n for name, n in counters.items() if name.startswith("fault_")}
     counts = {name.removeprefix("count_"): n for name, n in counters.items() if name.startswith("count_")}
@@ -110,13 +111,14 @@ def test_telemetry_is_the_estimate(every: int, arm: Arm, config: Path, frames: L
         node.send(frames)
         node.end()
         rounds = [told(dbc, data) for data in node.of(TELEMETRY)]
-    flight, done = Flight(arm), 0
+    flight = Twin(arm, every=every)
+    flight.hear(frames)
     items, share = 14 + 38 + 36, math.ceil((14 + 38 + 36) / every)
-    for begin in range(0, len(syncs), every):
-        flight.frames(frames[done : syncs[begin] + 1])
-        done = int(syncs[begin]) + 1
+    assert len(flight.answers) == math.ceil(len(syncs) / every)
+    for begin, answer in zip(range(0, len(syncs), every), flight.answers, strict=True):
+        assert answer.syncs == begin + 1
         complete = begin + math.ceil(items / share) <= len(syncs)
-        expected = round_of(flight)
+        expected = round_of(answer, flight.names)
         found = {name: value for name, value, _ in rounds[: len(expected)]}
         if complete:
             assert found == expected
@@ -146,17 +148,18 @@ def test_an_effect_tells_its_significance(
         node.end()
         sent = [can.Message(arbitration_id=name, data=data, is_extended_id=False) for name, data in node.answers]
     complete = rounds(arm_database(arm, [friction]), sent)
-    last, flight = complete[-1], Flight(arm, [friction])
-    hear(flight, frames[: syncs[100 * (len(complete) - 1)] + 1])
-    expected = flight.estimate()
+    last, flight = complete[-1], Twin(arm, [friction])
+    flight.hear(frames[: syncs[100 * (len(complete) - 1)] + 1])
+    expected, k = flight.answers[-1].estimate, len(flight.names) - 1
     significance = abs(last["motor_viscous2"]) / last["motor_viscous2_sigma"]
-    assert expected.names[-1] == "motor_viscous2"
-    assert significance == pytest.approx(expected.significance[-1], rel=1e-6)
+    assert flight.names[-1] == "motor_viscous2"
+    assert significance == pytest.approx(abs(expected.value[k]) / expected.sigma[k], rel=1e-6)
     assert significance > 20.0 if there else significance < 5.0
 
 
-def test_telemetry_depends_on_the_frames_alone(config: Path, frames: Log, syncs: Log) -> None:
-    """The same frames at another pace give the same answers, each with the counter of its SYNC."""
+def test_telemetry_depends_on_the_frames_alone(arm: Arm, config: Path, frames: Log, syncs: Log) -> None:
+    """The same frames at another pace give the same answers, each with the counter of its SYNC, and every bit is what
+    the library in this process says."""
     sent = frames[: syncs[300]]
     answers = []
     for pause in (False, True):
@@ -168,20 +171,23 @@ def test_telemetry_depends_on_the_frames_alone(config: Path, frames: Log, syncs:
             assert node.end()["node_unsent"] == 0
             answers.append(node.of(TELEMETRY))
     assert answers[0] == answers[1]
+    twin = Teller(arm, every=40)
+    twin.hear(sent)
+    assert answers[0] == twin.sent
     counters = [data[1] & 0x0F for data in answers[0]]
     expected = [int(frame["data"][0]) & 0x0F for frame in sent if frame["id"] == SYNC]
     assert [c for k, c in enumerate(counters) if k == 0 or c != counters[k - 1]][:16] == expected[:16]
 
 
-def goes_on(arm: Arm, config: Path, state: Path, second: Log) -> tuple[Flight, dict[str, int]]:
+def goes_on(arm: Arm, config: Path, state: Path, second: Log) -> tuple[Twin, dict[str, int]]:
     """Let a node go on from a stored state, as the library does. Returns its flight, and the counters of the node."""
-    flight = Flight(arm)
-    snapshot.resume(flight, shutil.copy(state, state.with_name("first.zyg")))
+    flight = Twin(arm)
+    flight.resume(shutil.copy(state, state.with_name("first.zyg")))
     with Node("--config", config, "--state", state) as node:
         assert f"goes on behind cycle {flight.native.cycle}" in node.first
         node.send(second)
         counters = node.end()
-    hear(flight, second)
+    flight.hear(second)
     assert saved(state) == image(flight)
     return flight, counters
 
@@ -192,8 +198,8 @@ def test_ended_and_resumed(arm: Arm, config: Path, frames: Log, syncs: Log, tmp_
     with Node("--config", config, "--state", state) as node:
         node.send(first)
         node.end()
-    flight = Flight(arm)
-    hear(flight, first)
+    flight = Twin(arm)
+    flight.hear(first)
     assert saved(state) == image(flight)
     again, counters = goes_on(arm, config, state, frames[syncs[650] :])
     assert counters["count_accepted"] > 1050
@@ -209,9 +215,9 @@ def test_killed_without_warning(arm: Arm, config: Path, frames: Log, syncs: Log,
         node.worked_off(450)
         node.process.kill()
         assert node.process.wait() == -signal.SIGKILL
-    flight = Flight(arm)
-    hear(flight, frames[: syncs[399] + 1])  # up to the 400th SYNC
-    assert saved(state) == image(flight)
+    flight = Twin(arm, save_every=200)
+    flight.hear(frames[: syncs[450]])  # the newest is that of the 400th SYNC
+    assert state.read_bytes() == flight.saved
     again, _ = goes_on(arm, config, state, frames[syncs[455] :])
     assert again.native.cycle == 1199
 
@@ -230,10 +236,10 @@ def test_killed_while_it_saves(seed: int, arm: Arm, config: Path, frames: Log, s
         time.sleep(float(np.random.default_rng(seed).uniform(0.0, 0.2)))
         node.process.kill()
         assert node.process.wait() == -signal.SIGKILL
-    flight = Flight(arm)
+    flight = Twin(arm, save_every=1)
     stored = snapshot.read(state, "state")
-    hear(flight, frames[: syncs[int(stored.receiver.assembly.sync)] + 1])
-    assert saved(state) == image(flight)
+    flight.hear(frames[: syncs[int(stored.receiver.assembly.sync)] + 1])
+    assert state.read_bytes() == flight.saved
     with Node("--config", config, "--state", state) as node:
         assert node.complaints == ""
 
@@ -310,7 +316,7 @@ def test_a_damaged_configuration_is_refused_with_a_reason(config: Path, tmp_path
 def test_a_damaged_state_is_put_aside_with_a_reason(arm: Arm, config: Path, tmp_path: Path) -> None:
     """It ends no start, and is not lost: the complaint names the file and what to do about it."""
     path, aside = tmp_path / "damaged.zyg", tmp_path / "damaged.zyg.unusable"
-    for content, reason in damages(snapshot.seal("state", Flight(arm).native)):
+    for content, reason in damages(Twin(arm).seal()):
         path.write_bytes(content)
         with Node("--config", config, "--state", path) as node:
             assert "starts at cycle 0" in node.first
@@ -322,7 +328,7 @@ def test_a_damaged_state_is_put_aside_with_a_reason(arm: Arm, config: Path, tmp_
         assert "remedy: " in why
         assert consequence.startswith(f"zygos-node: {path}: no state can be used, starts from nothing; remedy: ")
         assert aside.read_bytes() == content
-        assert saved(path) == image(Flight(arm))
+        assert saved(path) == image(Twin(arm))
         aside.unlink()
 
 
@@ -413,8 +419,8 @@ def test_what_is_no_frame_is_rejected_and_counted(arm: Arm, config: Path, frames
             node.listen()
         counters = node.end()
     assert counters["node_misshapen"] == 50
-    flight = Flight(arm)
-    hear(flight, frames[:400])
+    flight = Twin(arm)
+    flight.hear(frames[:400])
     assert saved(state) == image(flight)
 
 
@@ -488,8 +494,8 @@ def test_the_other_end_closes(heard: bool, config: Path, frames: Log, arm: Arm, 
         out, said = node.process.communicate(timeout=60)
     assert (node.process.returncode, said) == (0, "")
     assert "fault_crc" in out
-    flight = Flight(arm)
-    hear(flight, frames[:200])
+    flight = Twin(arm)
+    flight.hear(frames[:200])
     assert saved(state) == image(flight)
 
 

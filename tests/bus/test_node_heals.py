@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from node_support import TELEMETRY, Log, Node, hear, image, saved
+from node_support import TELEMETRY, Log, Node, Teller, flip, image, saved
 from round_support import told
 
 from conftest import ROOT, need
@@ -19,8 +19,11 @@ from zygos.arm import Arm
 from zygos.can.dbc import arm_database
 from zygos.native import snapshot
 from zygos.native.flight import Flight, ffi, lib
+from zygos.testing.twin import Twin
 
 CORRUPT = lib.ZYGOS_REASON_CORRUPT
+CHANGED = "zygos-node: memory was changed:"
+REPAIRED = f"{CHANGED} repaired in place; remedy: none if it is rare, otherwise test the memory\n"
 
 
 def place_of(struct: str, *members: str | int) -> int:
@@ -49,12 +52,12 @@ def values(heard: list[tuple[str, float]], name: str) -> list[float]:
 # ---------------------------------------------------------------- memory
 
 
-def test_a_corrupt_sum_starts_the_estimate_over(
+def test_a_corrupt_sum_is_dropped_and_the_others_stay(
     arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path
 ) -> None:
-    """Nothing is stored yet, so it starts from nothing; reception and its counters go on. The verdict of the solution,
-    the counter and a line on stderr tell; what is saved at the end is what the library then has, and is sound."""
-    state = tmp_path / "state.zyg"
+    """The verdict of the solution, the counter and a line on stderr tell; what is sent, and what is saved at the end,
+    is what the library in this process has after the same upset."""
+    state, twin = tmp_path / "state.zyg", Teller(arm, every=50)
     with Node("--config", config, "--every", 50, "--state", state) as node:
         node.send(frames[: syncs[420] + 1])
         node.worked_off(421)
@@ -64,52 +67,74 @@ def test_a_corrupt_sum_starts_the_estimate_over(
         code, counters, said = node.wait()
         heard = listened(node, arm)
     assert code == 0
-    assert said.startswith("zygos-node: memory was changed: sums or counts are corrupt; the estimate starts over; rem")
-    assert said.count("memory was changed") == 1
+    assert said == REPAIRED
     reasons = values(heard, "verdict_reason")
     assert reasons.count(CORRUPT) == 1
     assert reasons[9] == CORRUPT  # behind SYNC 451
     assert values(heard, "node_corrupt")[:12] == 10 * [0.0] + 2 * [1.0]
     assert (counters["node_corrupt"], counters["node_unsaved"]) == (1, 0)
     assert values(heard, "verdict_validity")[-1] == 3.0
-    flight = Flight(arm)
-    hear(flight, frames[: syncs[450] + 1], 50)
-    assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
-    hear(flight, frames[syncs[450] + 1 :], 50, 451)
-    assert saved(state) == image(flight)
+    twin.hear(frames[: syncs[420] + 1])
+    flip(twin, GRAM + 7, 4)
+    twin.hear(frames[syncs[420] + 1 :])
+    assert node.of(TELEMETRY) == twin.sent
+    assert saved(state) == image(twin)
+    assert twin.native.quarantined == 1
     assert not any(n for name, n in counters.items() if name.startswith("fault_"))
     assert counters["count_cycles"] == 1200
 
 
-@pytest.mark.parametrize("every", [50, 1000], ids=["a solution finds it", "a save finds it"])
+def test_a_save_repairs_what_it_saves(arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path) -> None:
+    """No estimate is due between the upset and the end."""
+    state, twin = tmp_path / "state.zyg", Twin(arm, every=1000, save_every=200)
+    with Node("--config", config, "--state", state, "--save-every", 200, "--every", 1000) as node:
+        node.send(frames[: syncs[250] + 1])
+        node.worked_off(251)
+        upset(node)
+        node.process.send_signal(signal.SIGTERM)
+        code, counters, said = node.wait()
+    assert (code, counters["node_corrupt"], counters["node_unsaved"]) == (0, 1, 0)
+    assert said == REPAIRED
+    twin.hear(frames[: syncs[250] + 1])
+    flip(twin, GRAM + 7, 4)
+    assert saved(state) == image(twin)
+    assert snapshot.read(state, "state").quarantined == 1
+
+
+GEAR = place_of("zygos_config_t", "joint", 1, "gear_ratio") + 6
+"""An upset of the node's own configuration, of which the library has a copy and its checksum."""
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["from a file", "from nothing"])
 def test_it_goes_back_to_the_last_good_state(
-    every: int, arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path
+    kept: bool, arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path
 ) -> None:
-    """What corrupt memory would have been sealed over is what it goes on from."""
-    state = tmp_path / "state.zyg"
-    with Node("--config", config, "--state", state, "--save-every", 400, "--every", every) as node:
+    """Where its own configuration is not that of the library any more, it reads the file again, and the state."""
+    state, twin = tmp_path / "state.zyg", Teller(arm, every=50, save_every=400 if kept else 0)
+    files = ("--state", state, "--save-every", 400) if kept else ()
+    with Node("--config", config, "--every", 50, *files) as node:
         node.send(frames[: syncs[420] + 1])
         node.worked_off(421)
-        good = state.read_bytes()
-        upset(node)
-        found = 450 if every == 50 else 799  # the SYNC behind which it is noticed, counted from 0
-        node.send(frames[syncs[420] + 1 : syncs[found] + 1])
-        node.worked_off(400)
-        assert state.read_bytes() == good
-        node.send(frames[syncs[found] + 1 : syncs[1100]])
+        good = state.read_bytes() if kept else b""
+        node.flip_config(GEAR, 5)
+        node.send(frames[syncs[420] + 1 : syncs[1100]])
         node.process.send_signal(signal.SIGTERM)
         code, counters, said = node.wait()
     assert code == 0
-    (tmp_path / "good.zyg").write_bytes(good)
-    flight = Flight(arm)
-    snapshot.resume(flight, tmp_path / "good.zyg")
-    assert f"goes on behind cycle {flight.native.cycle}\n" in said
-    hear(flight, frames[syncs[found] + 1 : syncs[1100]], every, found + 1)
-    assert saved(state) == image(flight)
-    assert counters["node_corrupt"] == 1
-    assert counters["node_unsaved"] == (0 if every == 50 else 1)
-    assert flight.counts["accepted"] > 650
-    assert flight.estimate().validity == "valid"
+    twin.hear(frames[: syncs[420] + 1])
+    assert twin.saved == good
+    memory = ffi.buffer(twin.config)
+    memory[GEAR] = bytes([memory[GEAR][0] ^ 1 << 5])
+    twin.hear(frames[syncs[420] + 1 : syncs[1100]])
+    assert node.of(TELEMETRY) == twin.sent
+    first, second = said.splitlines()
+    assert first.startswith(f"{CHANGED} the configuration is not what was compiled; the estimate starts over; remedy: ")
+    assert second.startswith("zygos-node: goes on behind cycle " if kept else "zygos-node: starts at cycle 0")
+    assert (counters["node_corrupt"], counters["node_unsaved"]) == (1, 0)
+    assert counters["count_accepted"] == twin.counts["accepted"] > 600
+    assert twin.answers[-1].estimate.validity == lib.ZYGOS_VALID
+    if kept:
+        assert saved(state) == image(twin)
 
 
 def test_corrupt_memory_is_not_saved_at_the_end(
@@ -121,7 +146,7 @@ def test_corrupt_memory_is_not_saved_at_the_end(
         node.send(frames[: syncs[250] + 1])
         node.worked_off(251)
         good = state.read_bytes()
-        upset(node)
+        node.flip_config(GEAR, 5)
         node.process.send_signal(signal.SIGTERM)
         code, counters, said = node.wait()
     assert (code, counters["node_corrupt"], counters["node_unsaved"]) == (2, 1, 1)
@@ -131,27 +156,24 @@ def test_corrupt_memory_is_not_saved_at_the_end(
     assert stored.accumulator.accepted > 150
 
 
-@pytest.mark.slow(only=["joints", "columns*"])
+@pytest.mark.slow(only=["columns*", "magic"])
 @pytest.mark.parametrize(
-    ("where", "bit", "word"),
+    ("where", "bit"),
     [
-        (
-            place_of("zygos_arm_t", "config", "joint", 1, "gear_ratio") + 6,
-            5,
-            "the configuration is not what was compiled",
-        ),
-        (place_of("zygos_arm_t", "config", "joints"), 0, "the configuration is not what was compiled"),
-        (place_of("zygos_arm_t", "magic") + 3, 2, "repaired in place"),
-        (place_of("zygos_arm_t", "motor_sums", "column_map", "count", 0), 1, "repaired in place"),
-        (place_of("zygos_arm_t", "receiver", "queue", "head") + 2, 4, "sums or counts"),
+        (place_of("zygos_arm_t", "config", "joint", 1, "gear_ratio") + 6, 5),
+        (place_of("zygos_arm_t", "config", "joints"), 0),
+        (place_of("zygos_arm_t", "config", "joint", 1, "node"), 1),
+        (place_of("zygos_arm_t", "magic") + 3, 2),
+        (place_of("zygos_arm_t", "motor_sums", "column_map", "count", 0), 1),
+        (place_of("zygos_arm_t", "receiver", "queue", "head") + 2, 4),
     ],
-    ids=["gear ratio", "joints", "magic", "columns of the motor rows", "place in the queue"],
+    ids=["gear ratio", "joints", "node", "magic", "columns of the motor rows", "place in the queue"],
 )
-def test_other_memory_heals_too(
-    where: int, bit: int, word: str, arm: Arm, config: Path, frames: Log, syncs: Log
-) -> None:
-    """A configuration that was changed makes every value wrong and no check of sums notices; a magic number that is
-    lost stops the library; tables that follow from the configuration are computed anew."""
+def test_other_memory_heals_too(where: int, bit: int, arm: Arm, config: Path, frames: Log, syncs: Log) -> None:
+    """A configuration that was changed makes every value wrong and no check of sums notices, or leaves no cycle
+    complete; a magic number that is lost stops the library; tables that follow from the configuration are computed
+    anew."""
+    twin = Teller(arm, every=50)
     with Node("--config", config, "--every", 50) as node:
         node.send(frames[: syncs[220] + 1])
         node.worked_off(221)
@@ -161,8 +183,12 @@ def test_other_memory_heals_too(
         code, counters, said = node.wait()
         heard = listened(node, arm)
     assert (code, counters["node_corrupt"]) == (0, 1), (said, counters)
-    assert f"memory was changed: {word}" in said
+    assert said == REPAIRED
     assert values(heard, "verdict_validity")[-1] == 3.0
+    twin.hear(frames[: syncs[220] + 1])
+    flip(twin, where, bit)
+    twin.hear(frames[syncs[220] + 1 :])
+    assert node.of(TELEMETRY) == twin.sent
     flight = Flight(arm)
     flight.frames(frames[syncs[300] :])
     known = flight.estimate()
@@ -361,9 +387,9 @@ def test_a_full_disk_ends_nothing(arm: Arm, config: Path, frames: Log, syncs: Lo
         f"zygos-node: {state}: saved again, after 4 times that it could not be",
     ]
     assert values(heard, "node_unsaved") == [0.0, 0.0, 2.0, 4.0]
-    flight = Flight(arm)
-    hear(flight, frames[: syncs[390]])
-    assert saved(state) == image(flight)
+    twin = Twin(arm, save_every=50)
+    twin.hear(frames[: syncs[390]])
+    assert saved(state) == image(twin)
 
 
 def plain_user() -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from bus_support import playing
 from cli_support import run
-from node_support import SYNC, TELEMETRY, Log, Node, compiled, frame_of
+from node_support import SYNC, TELEMETRY, Log, Node, Teller, compiled, flip, frame_of
 from round_support import round_of, told
 from runs_support import trajectory_of
 from schema_support import hold
@@ -25,7 +25,7 @@ from zygos.can.bus import write_log
 from zygos.can.dbc import arm_database
 from zygos.can.rounds import refined_of
 from zygos.model.model import Model
-from zygos.native.flight import CHANNELS, Flight, encode, ffi, lib, text_of
+from zygos.native.flight import CHANNELS, encode, ffi, lib, text_of
 from zygos.simulation.scenario import Scenario
 
 FTIME = 0x3A0
@@ -41,54 +41,27 @@ def frames(arm: Arm, model: Model, scenario: Scenario) -> Log:
     return encode(arm, trajectory_of(arm, model, scenario, seeds=[0], noise=True, duration_s=75.0, rtol=1e-8).cycles(0))
 
 
-class Twin:
-    """What a node does with frames, by calls of the library: the refinement takes every cycle before the estimator."""
+def rounds_of(twin: Teller) -> list[Round]:
+    """What the node tells of each answer, the refinement included."""
+    rounds = []
+    for answer in twin.answers:
+        told, out = round_of(answer, twin.names), answer.refined
+        if out is not None:
+            names = ("reason", "cycle", "used", "lost", "restarts", "rejected", "farthest", "distance", "level")
+            told |= {f"refined_{name}": getattr(out, name) for name in (*names, "level_error")}
+            told |= {f"refined_nis_{name}": out.nis[c] for c, name in enumerate(SENSORS)}
+            told |= {f"refined_ratio_{name}": out.ratio[c] for c, name in enumerate(SENSORS)}
+            for k, name in enumerate(twin.names) if out.published else ():
+                told |= {f"{name}_refined": out.value[k], f"{name}_refined_sigma": out.sigma[k]}
+        rounds.append({name: float(np.float32(value)) for name, value in told.items() if math.isfinite(value)})
+    return rounds
 
-    def __init__(self, arm: Arm, share: float) -> None:
-        self.flight = Flight(arm)
-        self.native = ffi.new("zygos_refine_t *")
-        self.config = ffi.addressof(self.flight.native, "config")
-        settings = ffi.new("zygos_refine_settings_t *")
-        lib.zygos_refine_defaults(settings, self.config)
-        for i in range(arm.n):
-            settings.filter.torque_relative_sigma[i] = share
-        assert lib.zygos_refine_init(self.native, self.config, settings) == 1
-        self.refined = ffi.new("zygos_refined_t *")
-        self.rounds: list[Round] = []
-        self.reasons: list[int] = []
 
-    def hear(self, frames: Log) -> None:
-        """Take frames. Every estimate adds a round."""
-        syncs = 0
-        receiver = ffi.addressof(self.flight.native, "receiver")
-        for frame in frames:
-            lib.zygos_arm_frame(self.flight.native, ffi.from_buffer("zygos_frame_t[]", frame.tobytes()))
-            stepped = 1
-            while stepped == 1:
-                lib.zygos_refine_cycle(self.native, lib.zygos_receiver_front(receiver))
-                while lib.zygos_refine_step(self.native, self.config) == 1:
-                    pass
-                stepped = lib.zygos_arm_step(self.flight.native)
-            if frame["id"] == SYNC:
-                if syncs % EVERY == 0:
-                    self.rounds.append(self.judge())
-                syncs += 1
-
-    def judge(self) -> Round:
-        """What the node tells of the estimate that is due."""
-        told = round_of(self.flight)
-        estimate, out = self.flight._estimate, self.refined
-        lib.zygos_refine_judge(self.native, self.config, estimate, out)
-        self.reasons.append(out.reason)
-        if (self.native.started == 0 or out.reason == lib.ZYGOS_REFINE_FAILED) and estimate.validity == lib.ZYGOS_VALID:
-            lib.zygos_refine_start(self.native, self.config, estimate, ffi.NULL)
-        names = ("reason", "cycle", "used", "lost", "restarts", "rejected", "farthest", "distance", "level")
-        told |= {f"refined_{name}": getattr(out, name) for name in (*names, "level_error")}
-        told |= {f"refined_nis_{name}": out.nis[c] for c, name in enumerate(SENSORS)}
-        told |= {f"refined_ratio_{name}": out.ratio[c] for c, name in enumerate(SENSORS)}
-        for k, name in enumerate(self.flight.names) if out.published else ():
-            told |= {f"{name}_refined": out.value[k], f"{name}_refined_sigma": out.sigma[k]}
-        return {name: float(np.float32(value)) for name, value in told.items() if math.isfinite(value)}
+def twin_of(arm: Arm, share: float, frames: Log) -> Teller:
+    """A twin that has heard the frames."""
+    twin = Teller(arm, every=EVERY, refine=share)
+    twin.hear(frames)
+    return twin
 
 
 def heard(node: Node, arm: Arm) -> list[Round]:
@@ -106,22 +79,23 @@ def test_it_tells_what_the_library_judges(share: float, arm: Arm, model: Model, 
     """Every value to the last bit of a float: refined ones and their deviations while they are published, always why,
     and the innovations. The first valid estimate is the start."""
     assert len(CHANNELS) == lib.ZYGOS_KINDS_OF_CHANNEL == 3
-    twin = Twin(arm, share)
-    twin.hear(frames)
+    twin = twin_of(arm, share, frames)
+    expected = rounds_of(twin)
     with Node("--config", config, "--every", EVERY, "--refine", share) as node:
         node.send(frames)
         node.end()
         rounds = heard(node, arm)
-    assert len(rounds) == len(twin.rounds) == 16
-    assert rounds[:-1] == twin.rounds[:-1]
-    assert rounds[-1].items() <= twin.rounds[-1].items()
+        assert node.of(TELEMETRY) == twin.sent
+    assert len(rounds) == len(expected) == 16
+    assert rounds[:-1] == expected[:-1]
+    assert rounds[-1].items() <= expected[-1].items()
     published = [one for one in rounds if one.get("refined_reason") == 0.0]
     assert all(sum(name.endswith("_refined") for name in one) == 12 for one in published)
     assert not any("k1_refined" in one for one in rounds if one.get("refined_reason", 0.0) > 0.0)
     if share == 0.0:
         assert published
-        values = np.array([rounds[-2][f"{name}_refined"] for name in twin.flight.names])
-        sigmas = np.array([rounds[-2][f"{name}_refined_sigma"] for name in twin.flight.names])
+        values = np.array([rounds[-2][f"{name}_refined"] for name in twin.names])
+        sigmas = np.array([rounds[-2][f"{name}_refined_sigma"] for name in twin.names])
         assert np.all(np.abs(values - model.base_values(arm)) < 5.0 * sigmas)
     else:
         assert rounds[-2]["refined_level"] < 0.5  # of a noise that the plant has not
@@ -133,8 +107,7 @@ def test_listen_shows_it(
 ) -> None:
     """The newest complete round, as numbers in the JSON and as tables; damaged telemetry beside it changes nothing."""
     sent = frames if published else frames[: np.flatnonzero(frames["id"] == SYNC)[730]]
-    twin = Twin(arm, 0.0)
-    twin.hear(sent)
+    twin = twin_of(arm, 0.0, sent)
     with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
         node.send(sent)
         node.end()
@@ -148,12 +121,12 @@ def test_listen_shows_it(
         assert run("listen", "--arm", EXAMPLE / "arm.toml", *options, "--json", tmp_path / "live.json") == 0
     content = json.loads((tmp_path / "live.json").read_text())
     hold("estimate", content)
-    found, told = content["refined"], twin.rounds[-2]
+    found, told = content["refined"], rounds_of(twin)[-2]
     assert found["published"] == published == (told["refined_reason"] == 0.0)
     assert (found["reason"] is None) == published
     for name in ("cycle", "used", "lost", "restarts", "rejected", "level", "level_error", "distance"):
         assert found[name] == told[f"refined_{name}"]
-    assert found["farthest"] == twin.flight.names[int(told["refined_farthest"])]
+    assert found["farthest"] == twin.names[int(told["refined_farthest"])]
     assert [one["channel"] for one in found["innovations"]] == list(CHANNELS)
     assert [one["mean"] for one in found["innovations"]] == [told[f"refined_nis_{name}"] for name in SENSORS]
     assert [one["ratio"] for one in found["innovations"]] == [told[f"refined_ratio_{name}"] for name in SENSORS]
@@ -204,24 +177,25 @@ def test_it_begins_again_after_a_failure(arm: Arm, config: Path, frames: Log) ->
         later = int.from_bytes(bytes(data[3:7]), "little") + 100_000
         data[3:7] = np.frombuffer(later.to_bytes(4, "little"), dtype=np.uint8)
         data[0] = lib.zygos_wire_crc(ffi.from_buffer("uint8_t[]", data.tobytes()), 7, 2, 32)
-    twin = Twin(arm, 0.0)
-    twin.hear(sent)
+    twin = twin_of(arm, 0.0, sent)
     with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
         node.send(sent)
         node.end()
         rounds = heard(node, arm)
-    assert rounds[:-1] == twin.rounds[:-1]
-    failed = [k for k, reason in enumerate(twin.reasons) if reason == lib.ZYGOS_REFINE_FAILED]
-    assert failed == [7, 8]
+    assert rounds[:-1] == rounds_of(twin)[:-1]
+    failed = [k for k, one in enumerate(twin.answers[:-1]) if one.refined.reason == lib.ZYGOS_REFINE_FAILED]
+    assert failed == [7]
     assert [rounds[k]["verdict_validity"] == 3.0 for k in (7, 8)] == [False, True]
-    assert [rounds[k]["refined_used"] for k in (8, 9)] == [297.0, 97.0]
+    assert [rounds[k]["refined_used"] for k in (7, 8, 9)] == [297.0, 0.0, 97.0]
     assert rounds[-2]["refined_reason"] == 0.0
 
 
-def test_it_begins_again_where_memory_was_changed(arm: Arm, config: Path, frames: Log) -> None:
-    """A sum of the estimator is corrupt: nothing that was refined beside it is kept."""
+def test_it_goes_on_where_memory_was_changed(arm: Arm, config: Path, frames: Log) -> None:
+    """A sum of the estimator is corrupt: the library drops what is, and the refinement, which has sums of its own, goes
+    on as that of the library in this process."""
     middle = np.flatnonzero(frames["id"] == SYNC)[420] + 1
     entry = ffi.offsetof("zygos_arm_t", "accumulator", "block", 0, "gram", 0)
+    twin = Teller(arm, every=EVERY, refine=0.0)
     with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
         node.send(frames[:middle])
         node.worked_off(421)
@@ -231,8 +205,13 @@ def test_it_begins_again_where_memory_was_changed(arm: Arm, config: Path, frames
         code, counters, _ = node.wait()
         rounds = heard(node, arm)
     assert (code, counters["node_corrupt"]) == (0, 1)
-    corrupt = [one["verdict_reason"] for one in rounds].index(lib.ZYGOS_REASON_CORRUPT)
-    assert [rounds[corrupt + k].get("refined_used") for k in (-1, 0, 1)] == [97.0, None, 0.0]
+    twin.hear(frames[:middle])
+    flip(twin, entry + 7, 4)
+    twin.hear(frames[middle:])
+    assert node.of(TELEMETRY) == twin.sent
+    corrupt = [one.get("verdict_reason") for one in rounds].index(lib.ZYGOS_REASON_CORRUPT)
+    used = [one["refined_used"] for one in rounds[corrupt - 1 : corrupt + 2]]
+    assert used == sorted(used) and used[0] > 90.0
     assert rounds[-2]["refined_used"] > 0.0
 
 

@@ -20,12 +20,10 @@ import pytest
 
 from conftest import IN_SPACE
 from zygos.can.vcan import kernel_counts
-from zygos.native import snapshot
-from zygos.native.flight import Estimate, Flight
 from zygos.simulation.scenario import load_scenario
 from zygos.testing import Dut, Plant, Stream
-from zygos.testing.dut import hear
 from zygos.testing.latency import Answers
+from zygos.testing.twin import Twin
 
 LEAST_LOAD = 1.2
 """Frames on a loaded bus, as a multiple of those of the arm. How many more there are depends on the machine: the report
@@ -91,10 +89,12 @@ def hold(found: Answers, cycles: int, solving: range, silent: Sequence[int] = ()
     assert np.median(found.latency_s[answered]) < MEDIAN_S
 
 
-def unsaid(estimate: Estimate, every: int) -> list[int]:
+def unsaid(estimate: Any, every: int) -> list[int]:
     """Which of the SYNCs from an estimate to the next one have no telemetry frame: a number that is not finite is not
     sent, and all numbers of such a SYNC belong to parameters without a value."""
-    of_parameters = np.stack([estimate.value, estimate.sigma, estimate.half95], axis=1).ravel()
+    p = estimate.parameters
+    values = [list(of[0:p]) for of in (estimate.value, estimate.sigma, estimate.half95)]
+    of_parameters = np.stack(values, axis=1).ravel()
     sent = np.isfinite(np.concatenate([np.zeros(BEFORE_PARAMETERS), of_parameters]))
     share = -(-len(sent) // every)
     return [at for at in range(every) if not sent[at * share : (at + 1) * share].any()]
@@ -131,19 +131,18 @@ def test_a_solution_that_takes_several_periods(load: str, in_space: Plant, dut: 
     learnt, every = 8_500, 72  # 214 numbers by three
     stream = in_space.run()
     first, second = stream.part(0, learnt), stream.part(learnt)
-    told = Flight(in_space.arm)
-    for _ in hear(told, first.frames, every):
-        pass
+    told = Twin(in_space.arm, every=every)
+    told.hear(first.frames)
     with Dut(in_space.arm, in_space.channel, dut.command, tmp_path) as device:
         device.renew()
-        snapshot.write(device.state, "state", told.native)
+        device.state.write_bytes(told.seal())
         device.start(every)
         found, latency = timed(in_space, device, second, 250.0, load, 0)
         counters = device.stop()
         silent: list[int] = []
-        for at, _ in enumerate(hear(device.twin, second.frames, every)):
-            if at % every == 0:
-                silent += [at + syncs for syncs in unsaid(device.twin.estimate(), every)]
+        device.twin.hear(second.frames)
+        for answer in device.twin.answers:
+            silent += [answer.syncs - 1 + syncs for syncs in unsaid(answer.estimate, every)]
         faults = {"incomplete": 1, "dropped": 1}  # of the cycle that was open when the state was saved
         dut.record |= {"frames": len(second), "expected": faults, "latency": latency}
         dut.record["found"] = {
@@ -154,4 +153,4 @@ def test_a_solution_that_takes_several_periods(load: str, in_space: Plant, dut: 
         hold(found, 1_501, range(0, 1_501, every), [at for at in silent if at < 1_501])
         assert dut.record["found"] == faults
         assert counters["node_overflow"] == 0
-        assert device.state.read_bytes() == snapshot.seal("state", device.twin.native)
+        assert device.state.read_bytes() == device.twin.seal()

@@ -6,12 +6,12 @@
 #define SAVED (3u << 30) /* ASPEN and LSPEN: space for the registers, and saving on first use */
 #define IN_USE 4u
 
-int __real_zygos_init(zygos_arm_t *self, const zygos_config_t *config);
-int __wrap_zygos_init(zygos_arm_t *self, const zygos_config_t *config);
+int __real_zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config);
+int __wrap_zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config);
 
-int __wrap_zygos_init(zygos_arm_t *self, const zygos_config_t *config)
+int __wrap_zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config)
 {
-    const int verdict = __real_zygos_init(self, config);
+    const int verdict = __real_zygos_arm_init(self, config);
     uint32_t control;
     FPCCR &= ~SAVED;
     __asm volatile("mrs %0, control" : "=r"(control));

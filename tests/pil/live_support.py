@@ -17,9 +17,12 @@ from typing import Any
 import can
 
 from pil.pil_support import Build, build_firmware, firmware
+from zygos.native import flight as native
 from zygos.native import header as compiled
 from zygos.native.flight import Flight
 
+_MOST = 65536
+"""Calls that steps.c can hold."""
 PATIENCE_S = 60.0
 """Longest that a test waits for a target."""
 LINES = {
@@ -39,10 +42,12 @@ def symbols(elf: Path) -> dict[str, tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Settled:
-    """What firmware that has nothing more to do has come to: zygos_arm_t, and after how many cycles it adopted."""
+    """What firmware that has nothing more to do has come to: zygos_arm_t, whether each frame was stored, and how many
+    frames each zygos_step() took."""
 
     state: bytes
-    adoptions: tuple[int, ...]
+    stored: tuple[bool, ...]
+    taken: tuple[int, ...]
 
 
 class Live:
@@ -93,12 +98,17 @@ class Live:
         """Wait until so many frames and refused lines have come and the task has nothing more to do."""
         limit, before = time.monotonic() + PATIENCE_S, b""
         while time.monotonic() < limit:
-            now = self.memory("arm") + self.memory("telemetry")  # the solver works in the latter
+            now = self.memory("arm") + self.memory("memory")  # the solver works in the latter
             if sum(self.lines()) >= lines and now == before:
                 assert sum(self.lines()) == lines
-                count, *cycles = struct.unpack("<64I", self.memory("adoptions"))
-                assert count <= len(cycles)
-                return Settled(now[: symbols(self._elf)["arm"][1]], tuple(cycles[:count]))
+                calls = self.memory("calls")
+                frames, steps = struct.unpack_from("<2I", calls)
+                assert max(frames, steps) <= _MOST
+                taken = struct.unpack_from(f"<{steps}H", calls, 8)
+                stored = calls[8 + 2 * _MOST : 8 + 2 * _MOST + frames]
+                end = symbols(self._elf)["arm"][1]
+                state = now[end - native.ffi.sizeof("zygos_arm_t") : end]  # the last member of zygos_t
+                return Settled(state, tuple(map(bool, stored)), taken)
             before = now
             time.sleep(0.1)
         raise AssertionError(f"{self.lines()} frames and refused lines of {lines} came")
@@ -125,7 +135,7 @@ def running(
     drills: tuple[str, ...] = (),
 ) -> Iterator[Live]:
     """The firmware for an arm, until the context ends. The library in use must be that of the build."""
-    elf = firmware(target, "live", build, compiled_in(folder, flight), ("adoptions", *drills))
+    elf = firmware(target, "live", build, compiled_in(folder, flight), ("steps", *drills))
     command = [*build_firmware.run(target, elf), "-chardev", LINES[line], "-serial", "chardev:line", "-qmp", "stdio"]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import signal
 import socket
@@ -21,8 +22,8 @@ from numpy.typing import NDArray
 
 from conftest import EXAMPLE, ROOT
 from zygos.native import snapshot
-from zygos.native.flight import FRAME, Flight, ffi
-from zygos.testing.dut import hear as heard
+from zygos.native.flight import FRAME, ffi, lib
+from zygos.testing.twin import HEAD, Answer, Event, Twin
 
 NODE = ROOT / "build" / "zygos-node"
 SYNC, TELEMETRY = 0x080, 0x1A0
@@ -43,10 +44,10 @@ def build() -> Path:
 
 
 @cache
-def _symbol() -> int:
-    """Where in the program its zygos_arm_t is."""
+def _symbol(name: str) -> int:
+    """Where in the program one of its variables is."""
     symbols = subprocess.run(["nm", NODE], capture_output=True, text=True, check=True).stdout.splitlines()
-    (symbol,) = (int(line.split()[0], 16) for line in symbols if line.split()[1:] == ["b", "arm"])
+    (symbol,) = (int(line.split()[0], 16) for line in symbols if line.split()[1:] == ["b", name])
     return symbol
 
 
@@ -56,13 +57,13 @@ def compiled(folder: Path, arm_file: Path = EXAMPLE / "arm.toml", *more: object)
     return folder / "arm.zyg"
 
 
-def image(flight: Flight) -> bytes:
-    """The memory of a flight of this process."""
-    return bytes(ffi.buffer(flight.native))
+def image(twin: Twin) -> bytes:
+    """The zygos_arm_t of a twin, as it is saved now."""
+    return twin.seal()[HEAD:]
 
 
 def saved(path: Path) -> bytes:
-    """The memory of a flight in a stored state."""
+    """The zygos_arm_t of a stored state."""
     return bytes(ffi.buffer(snapshot.read(path, "state")))
 
 
@@ -81,10 +82,69 @@ def frame_of(identifier: int, data: bytes = b"", flags: int = 0) -> Any:
     return out[0]
 
 
-def hear(flight: Flight, frames: Log, every: int = 100, syncs: int = 0) -> None:
-    """What a node does with frames that it hears behind so many SYNCs."""
-    for _ in heard(flight, frames, every, syncs):
-        pass
+def flip(twin: Twin, place: int, bit: int) -> None:
+    """The upset of `Node.flip` in a twin."""
+    memory = ffi.buffer(twin.native)
+    memory[place] = bytes([memory[place][0] ^ 1 << bit])
+
+
+class Teller(Twin):
+    """A twin that also writes the telemetry, as docs/wire.md and docs/node.md have it."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.sent: list[bytes] = []
+        """The data of the frames 0x1A0."""
+        self.waiting: list[tuple[int, int, float]] = []
+        """Kind, index and value of what is still to be sent."""
+
+    def hear(self, frames: Log) -> None:
+        for event in self.events(frames):
+            behind = (self.syncs - 1) % self.every
+            if event is Event.ANSWER:
+                self.waiting = items_of(self.answers[-1])
+                self._send(self.every - behind)
+            elif event is Event.JUDGED:
+                self.waiting += refined_items_of(self.answers[-1].refined)
+                self._send(1 if self._wanted else 0)
+            else:
+                self._send(self.every - behind if behind > 0 else 1)
+
+    def _send(self, syncs: int) -> None:
+        """An equal portion at each of so many SYNCs; all where the next estimate may come before the next SYNC."""
+        share = -(-len(self.waiting) // syncs) if syncs else 0
+        frame = ffi.new("zygos_frame_t *")
+        for kind, index, value in self.waiting[:share]:
+            if math.isfinite(value):
+                lib.zygos_wire_encode_telemetry(self._counter & 15, index, kind, value, frame)
+                self.sent.append(bytes(frame.data))
+        del self.waiting[:share]
+
+
+def items_of(answer: Answer) -> list[tuple[int, int, float]]:
+    """Kind, index and value of all that the telemetry has of an answer, in its order."""
+    out = answer.estimate
+    verdict = [out.validity, out.reason, out.cycle, out.accepted, out.refused, out.arcs, out.blocks, out.rank]
+    verdict += [out.condition, out.cluster, out.residual, out.noise_ratio, out.signal_to_noise, out.left_out[0]]
+    counts = answer.counts
+    names = ("cycles", "gaps", "invalid", "wraps", "accepted", "refused", "arcs", "arcs_dropped")
+    counters = [*answer.faults.values(), *(counts[name] for name in names), 0, 0, 0, 0, answer.corrupt, 0]
+    counters += [counts["apart"], counts["waited"]]
+    items = [(3, k, float(value)) for k, value in enumerate(verdict)]
+    items += [(2, k, float(value)) for k, value in enumerate(counters)]
+    for k in range(out.parameters):
+        items += [(0, k, out.value[k]), (1, k, out.sigma[k]), (4, k, out.half95[k])]
+    return items
+
+
+def refined_items_of(out: Any) -> list[tuple[int, int, float]]:
+    """The same of a verdict on the refinement."""
+    told = [out.reason, out.cycle, out.used, out.lost, out.restarts, out.rejected, out.farthest, out.distance]
+    told += [out.level, out.level_error, *out.nis, *out.ratio]
+    items = [(7, k, float(value)) for k, value in enumerate(told)]
+    for k in range(out.parameters if out.published else 0):
+        items += [(5, k, out.value[k]), (6, k, out.sigma[k])]
+    return items
 
 
 class Node:
@@ -184,16 +244,28 @@ class Node:
 
     def flip(self, place: int, bit: int) -> None:
         """An upset: one bit of the zygos_arm_t of the running node changes."""
-        changed = self.memory(place, 1)[0] ^ 1 << bit
+        self._flip(self._arm() + place, bit)
+
+    def flip_config(self, place: int, bit: int) -> None:
+        """The same of its own copy of the configuration."""
+        self._flip(self._variable("config") + place, bit)
+
+    def _flip(self, address: int, bit: int) -> None:
         with Path(f"/proc/{self.process.pid}/mem").open("r+b", buffering=0) as memory:
-            memory.seek(self._arm() + place)
+            memory.seek(address)
+            changed = memory.read(1)[0] ^ 1 << bit
+            memory.seek(address)
             memory.write(bytes([changed]))
 
     def _arm(self) -> int:
-        """Address of its zygos_arm_t: where the program was loaded, and where in it the symbol is."""
+        """Address of its zygos_arm_t."""
+        return self._variable("arm") + int(ffi.offsetof("zygos_t", "state"))
+
+    def _variable(self, name: str) -> int:
+        """Address of a variable: where the program was loaded, and where in it that is."""
         maps = Path(f"/proc/{self.process.pid}/maps").read_text().splitlines()
         begin = next(int(line.split("-")[0], 16) for line in maps if line.endswith(str(NODE)))
-        return begin + _symbol()
+        return begin + _symbol(name)
 
     def of(self, identifier: int) -> list[bytes]:
         """The data of all answers with an identifier."""

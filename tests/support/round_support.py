@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from cantools.database.can import Database
 from e2e.p02 import e2e_p02_check
 
 from zygos.can.wire import data_ids
-from zygos.native.flight import VALIDITY, Flight
+from zygos.testing.twin import Answer
 
 
 def told(dbc: Database, data: bytes) -> tuple[str, float, int]:
@@ -21,29 +22,22 @@ def told(dbc: Database, data: bytes) -> tuple[str, float, int]:
     return name, float(values[name]), int(values["Counter"])
 
 
-def round_of(flight: Flight) -> dict[str, float]:
-    """Estimate, adopt, and return what the telemetry holds of it.
+def round_of(answer: Answer, names: Sequence[str]) -> dict[str, float]:
+    """What the telemetry holds of an answer of a twin, without the refinement; names: those of the parameters.
 
     In it are float32 numbers, counters modulo 2^24, and nothing where there is no value.
     """
-    estimate = flight.estimate()
-    flight.adopt()
-    raw = flight._estimate
+    raw = answer.estimate
+    plain = ("validity", "reason", "cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster")
     out: dict[str, float] = {
-        "verdict_validity": VALIDITY.index(estimate.validity),
-        "verdict_reason": raw.reason,
-        **{
-            f"verdict_{name}": getattr(estimate, name)
-            for name in ("cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster", "residual")
-        },
-        "verdict_noise_ratio": estimate.noise_ratio,
-        "verdict_gate": estimate.signal_to_noise,
-        "verdict_left_out": estimate.left_out[0],
-        **{f"fault_{name}": n for name, n in flight.faults.items()},
-        **{f"count_{name}": n for name, n in flight.counts.items()},
-        "count_arcs": flight.native.accumulator.arcs,
-        **{f"node_{name}": 0 for name in ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")},
+        **{f"verdict_{name}": getattr(raw, name) for name in (*plain, "residual", "noise_ratio")},
+        "verdict_gate": raw.signal_to_noise,
+        "verdict_left_out": raw.left_out[0],
+        **{f"fault_{name}": n for name, n in answer.faults.items()},
+        **{f"count_{name}": n for name, n in answer.counts.items()},
+        **{f"node_{name}": 0 for name in ("overflow", "misshapen", "down", "unsent", "unsaved")},
+        "node_corrupt": answer.corrupt,
     }
-    for name, value, sigma, half in zip(estimate.names, estimate.value, estimate.sigma, estimate.half95, strict=True):
-        out |= {name: value, f"{name}_sigma": sigma, f"{name}_half95": half}
+    for k, name in enumerate(names):
+        out |= {name: raw.value[k], f"{name}_sigma": raw.sigma[k], f"{name}_half95": raw.half95[k]}
     return {name: float(np.float32(value)) for name, value in out.items() if math.isfinite(value)}

@@ -1,8 +1,10 @@
 /* Firmware of a flight computer behind a serial line that speaks slcan: frames that come are those of its CAN bus,
    frames that it sends are telemetry.
 
-   The receive interrupt hands each frame to zygos_arm_frame(); the one task there is works off cycles, and at each SYNC
-   reports. */
+   The receive interrupt hands each frame to zygos_frame(). There is one task, which calls zygos_step() while frames
+   wait, and is the background as well: in between it solves, and sends. */
+
+#include <stdbool.h>
 
 #include "arm_config.h"
 #include "core.h"
@@ -16,12 +18,12 @@
 /* SYNCs from one estimate to the next. */
 #define EVERY 100u
 
-static zygos_arm_t arm;
+static zygos_t arm;
+static zygos_background_t memory;
 static node_telemetry_t telemetry;
 static uart_t uart;
 static slcan_t line;
-static volatile uint32_t syncs;
-static uint32_t corrupt;
+static uint32_t corrupt; /* Times that the arm began anew. */
 
 /* In a handler, or masked. */
 static void send(const char *text)
@@ -42,8 +44,7 @@ void uart_receive_interrupt(void)
         zygos_frame_t frame;
         char answer[SLCAN_TEXT];
         if (slcan_take(&line, character, &frame, answer) == 1) {
-            const int verdict = zygos_arm_frame(&arm, &frame);
-            syncs += ((verdict == ZYGOS_ACCEPTED) && (frame.flags == 0) && (frame.id == ZYGOS_ID_SYNC)) ? 1u : 0u;
+            (void)zygos_frame(&arm, &frame);
         }
         send(answer);
     }
@@ -54,38 +55,21 @@ void uart_transmit_interrupt(void)
     uart_transmit(&uart);
 }
 
-/* Memory was changed from outside. */
-static void start_over(void)
+static int begin(void)
 {
-    corrupt++;
-    core_mask();
-    if ((zygos_arm_restart(&arm, ZYGOS_KEEP_FAULTS) != 1) ||
-        (zygos_arm_check(&arm, &arm_config, &telemetry.work) != 1)) {
-        (void)zygos_arm_init(&arm, &arm_config);
-    }
-    core_unmask();
-}
-
-/* A cycle was not processed, because memory was changed. */
-static void mend(void)
-{
-    core_mask();
-    const int found = zygos_arm_scrub(&arm, &arm_config);
-    core_unmask();
-    if (found < 0) {
-        start_over();
-    } else {
-        corrupt++;
-    }
+    const int begun = zygos_init(&arm, &arm_config, &memory, (uint32_t)sizeof memory);
+    node_telemetry_follow(&telemetry, &arm);
+    return begun;
 }
 
 static void report(void)
 {
-    const node_losses_t losses = {
-        .overflow = uart.overruns, .misshapen = line.refused, .unsent = uart.left_out, .corrupt = corrupt
-    };
+    const node_losses_t losses = { .overflow = uart.overruns,
+                                   .misshapen = line.refused,
+                                   .unsent = uart.left_out,
+                                   .corrupt = corrupt + (uint32_t)(arm.repairs + arm.losses) };
     zygos_frame_t frame;
-    const int solved = node_telemetry_sync(&telemetry, &arm, &losses);
+    (void)node_telemetry_step(&telemetry, &arm, &losses);
     while (node_telemetry_next(&telemetry, &arm, &frame) == 1) {
         char text[SLCAN_TEXT];
         slcan_line(&frame, text);
@@ -95,40 +79,35 @@ static void report(void)
         }
         core_unmask();
     }
-    if (solved < 1) {
-        start_over();
-    }
 }
 
 int main(void)
 {
-    if (zygos_arm_init(&arm, &arm_config) < 0) {
+    node_telemetry_init(&telemetry, EVERY, 0);
+    if (begin() < 0) {
         return 1;
     }
-    node_telemetry_init(&telemetry, EVERY);
     slcan_init(&line);
     uart_init(&uart, UART_0, CLOCK_HZ / BAUD);
     core_enable(CORE_UART_RECEIVE);
     core_enable(CORE_UART_TRANSMIT);
-    uint32_t reported = 0;
-    for (;;) {
-        const uint32_t closed = syncs; /* read first: when no cycle waits behind it, theirs are worked off */
-        const int stepped = zygos_arm_step(&arm);
-        if (stepped == 1) {
-            continue;
-        }
-        if (stepped < 0) {
-            mend();
-        }
-        if (reported != closed) {
-            reported++;
-            report();
-            continue;
-        }
+    for (int stepped = 0;;) {
         core_mask();
-        if ((arm.receiver.queue.head == arm.receiver.queue.tail) && (reported == syncs)) {
+        const bool idle = (stepped != 1) && (arm.head == arm.tail) && (telemetry.wanted == 0u);
+        if (idle) {
             core_sleep();
         }
         core_unmask();
+        if (idle) {
+            continue;
+        }
+        stepped = zygos_step(&arm);
+        if (stepped < 0) { /* the configuration is in memory that does not change: the copies of it were */
+            core_mask();
+            corrupt += (uint32_t)(arm.repairs + arm.losses) + 1u;
+            (void)begin();
+            core_unmask();
+        }
+        report();
     }
 }

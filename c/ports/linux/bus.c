@@ -5,9 +5,11 @@
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <net/if.h>
+#include <poll.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
+#include <time.h>
 
 #include "log.h"
 
@@ -146,6 +148,15 @@ static void count_drops(node_bus_t *self, struct msghdr *message)
             self->drops = drops;
         }
     }
+}
+
+void node_bus_wait(const node_bus_t *self, double seconds, const sigset_t *mask)
+{
+    const double wait_s = (seconds > 0.0) ? seconds : 0.0;
+    const struct timespec timeout = { .tv_sec = (time_t)wait_s,
+                                      .tv_nsec = (long)(1e9 * (wait_s - (double)(time_t)wait_s)) };
+    struct pollfd socket_of = { .fd = self->fd, .events = POLLIN };
+    (void)ppoll(&socket_of, 1, &timeout, mask);
 }
 
 static int read_failed(node_bus_t *self)

@@ -3,6 +3,7 @@
 #ifndef ZYGOS_NODE_BUS_H
 #define ZYGOS_NODE_BUS_H
 
+#include <signal.h>
 #include <stdbool.h>
 #include <stdint.h>
 
@@ -37,6 +38,9 @@ int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_c
 
 /// Binds the socket to an interface that was removed, if it is there again. Where nothing is missing it does nothing.
 void node_bus_again(node_bus_t *self, const zygos_config_t *config);
+
+/// Waits for a frame, for one of the signals that the mask lets through, or for so long.
+void node_bus_wait(const node_bus_t *self, double seconds, const sigset_t *mask);
 
 /// Reads what is waiting, without blocking, into frame[NODE_BATCH]; *count is their number. Returns enum node_reading.
 int node_bus_read(node_bus_t *self, zygos_frame_t *frame, uint32_t *count);

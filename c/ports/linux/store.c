@@ -92,25 +92,28 @@ static ssize_t read_all(int fd, uint8_t *head, void *image, size_t size)
     return total;
 }
 
-/* Returns 1, 0 where there is no such file, an enum zygos_error, or NOT_READ - errno. */
-static int load(const char *path, uint32_t kind, void *image, size_t size)
+/* Returns 1, 0 where there is no such file, or NOT_READ - errno. *length: bytes of head and image that it has. */
+static int read_file(const char *path, uint8_t *head, void *image, size_t size, uint32_t *length)
 {
-    uint8_t head[ZYGOS_SNAPSHOT_HEAD];
     const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); /* a pipe without a writer is not waited for */
     if ((fd < 0) && (errno == ENOENT)) {
         return 0;
     }
-    const ssize_t length = (fd < 0) ? -1 : read_all(fd, head, image, size);
+    const ssize_t got = (fd < 0) ? -1 : read_all(fd, head, image, size);
     const int why = errno;
     if (fd >= 0) {
         (void)close(fd);
     }
-    return (length < 0) ? NOT_READ - why : zygos_snapshot_check(kind, head, image, (uint32_t)length);
+    *length = (got < 0) ? 0u : (uint32_t)got;
+    return (got < 0) ? NOT_READ - why : 1;
 }
 
 int node_store_config(const char *path, zygos_config_t *config)
 {
-    const int verdict = load(path, ZYGOS_SNAPSHOT_CONFIG, config, sizeof *config);
+    uint8_t head[ZYGOS_SNAPSHOT_HEAD];
+    uint32_t length;
+    const int there = read_file(path, head, config, sizeof *config, &length);
+    const int verdict = (there == 1) ? zygos_snapshot_check(ZYGOS_SNAPSHOT_CONFIG, head, config, length) : there;
     if (verdict == 1) {
         return 1;
     }
@@ -174,11 +177,12 @@ static const char *name_of(const node_store_t *self, const char *suffix, char *b
 }
 
 /* Returns 1, 0 where there is no such file, an enum zygos_error, or NOT_READ - errno. */
-static int take_up(const char *path, const zygos_config_t *config, zygos_arm_t *arm, zygos_work_t *work)
+static int take_up(const char *path, const zygos_config_t *config, zygos_t *arm, zygos_background_t *memory)
 {
-    int verdict = load(path, ZYGOS_SNAPSHOT_STATE, arm, sizeof *arm);
-    verdict = (verdict == 1) ? zygos_arm_check(arm, config, work) : verdict;
-    return (verdict == 1) ? zygos_arm_resume(arm, config) : verdict;
+    uint8_t head[ZYGOS_SNAPSHOT_HEAD];
+    uint32_t length;
+    const int there = read_file(path, head, &arm->state, sizeof arm->state, &length);
+    return (there == 1) ? zygos_resume(arm, config, memory, (uint32_t)sizeof *memory, head, length) : there;
 }
 
 /* path: the file that is not used. aside: what it is called from here on, or null where it stays. */
@@ -207,12 +211,12 @@ static void put_aside(node_store_t *self, int verdict)
     log_refusal(self->path, verdict, self->good ? aside : NULL);
 }
 
-int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_arm_t *arm, zygos_work_t *work)
+int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *arm, zygos_background_t *memory)
 {
     if (self->path == NULL) {
         return 0;
     }
-    const int newest = take_up(self->path, config, arm, work);
+    const int newest = take_up(self->path, config, arm, memory);
     if (newest == 1) {
         self->good = true;
         return 1;
@@ -221,7 +225,7 @@ int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_arm_
         put_aside(self, newest);
     }
     char previous[PATH_MAX];
-    const int older = take_up(name_of(self, AS_PREVIOUS, previous), config, arm, work);
+    const int older = take_up(name_of(self, AS_PREVIOUS, previous), config, arm, memory);
     if (older == 1) {
         node_log("%s: %s; goes on from %s, the state before it", self->path, (newest < 0) ? "not used" : "is not there",
                  previous);
@@ -266,17 +270,16 @@ static bool sync_folder(const char *path)
     return done;
 }
 
-static bool write_snapshot(const char *path, const zygos_arm_t *arm)
+static bool write_snapshot(const char *path, const uint8_t *head, const zygos_arm_t *state)
 {
-    uint8_t head[ZYGOS_SNAPSHOT_HEAD];
-    (void)zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, arm, head);
     /* A file of its own: what stands there may be a pipe, or another name of a file of others. */
     (void)unlink(path);
     const int fd = open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0644);
     if (fd < 0) {
         return false;
     }
-    const bool done = write_all(fd, head, sizeof head) && write_all(fd, arm, sizeof *arm) && (fsync(fd) == 0);
+    const bool done =
+        write_all(fd, head, ZYGOS_SNAPSHOT_HEAD) && write_all(fd, state, sizeof *state) && (fsync(fd) == 0);
     const int why = errno;
     const bool closed = (close(fd) == 0);
     errno = done ? errno : why;
@@ -312,14 +315,11 @@ static bool replace(node_store_t *self, const char *partial)
     return sync_folder(self->path);
 }
 
-int node_store_save(node_store_t *self, const zygos_arm_t *arm)
+int node_store_save(node_store_t *self, const uint8_t *head, const zygos_arm_t *state)
 {
-    if (self->path == NULL) {
-        return 1;
-    }
     char partial[PATH_MAX];
     (void)name_of(self, AS_PARTIAL, partial);
-    if (!write_snapshot(partial, arm) || !replace(self, partial)) {
+    if (!write_snapshot(partial, head, state) || !replace(self, partial)) {
         const int why = errno;
         (void)unlink(partial);
         self->failed++;

@@ -33,13 +33,12 @@ const char *node_store_folder(const char *path, char *buffer, size_t size);
 /// configuration, or another node has it in use. A folder that is not open for writing is complained of and accepted.
 int node_store_open(node_store_t *self, const char *path, const char *config);
 
-/// Goes on from the newest generation that is whole, logs what is wrong with the others, and puts FILE aside when it
-/// cannot be used. Returns 1; 0 when there are no files, or no path, and *arm is as it was; -1 when none of them can be
-/// used: *arm must be initialised. Changes *work, which is scratch.
-int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_arm_t *arm, zygos_work_t *work);
+/// Goes on from the newest generation that is whole, as zygos_resume() does, logs what is wrong with the others, and
+/// puts FILE aside when it cannot be used. Returns 1; 0 when there are no files, or no path; -1 when none of them can
+/// be used. Unless it returns 1, *arm must be initialised.
+int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *arm, zygos_background_t *memory);
 
-/// Saves a state that zygos_arm_check() found whole. Does nothing without a path. Returns 1, or -1 after logging the
-/// reason.
-int node_store_save(node_store_t *self, const zygos_arm_t *arm);
+/// Saves a state behind the head that zygos_seal() wrote. Returns 1, or -1 after logging the reason.
+int node_store_save(node_store_t *self, const uint8_t *head, const zygos_arm_t *state);
 
 #endif

@@ -1,6 +1,7 @@
 #include "telemetry.h"
 
 #include <float.h>
+#include <stdbool.h>
 #include <string.h>
 
 #define HEARTBEAT 0x700u
@@ -19,8 +20,9 @@ const char *const node_counter_name[NODE_COUNTERS] = {
     "node_unsaved",         "count_apart",         "count_waited",
 };
 
-void node_counters(const zygos_arm_t *arm, const node_losses_t *losses, uint64_t *out)
+void node_counters(const zygos_t *zygos, const node_losses_t *losses, uint64_t *out)
 {
+    const zygos_arm_t *arm = &zygos->state;
     uint32_t fault[ZYGOS_FAULT_COUNTERS];
     memcpy(fault, &arm->receiver.faults, sizeof fault);
     for (uint32_t i = 0; i < ZYGOS_FAULT_COUNTERS; i++) {
@@ -47,10 +49,18 @@ void node_counters(const zygos_arm_t *arm, const node_losses_t *losses, uint64_t
     memcpy(&out[ZYGOS_FAULT_COUNTERS], other, sizeof other);
 }
 
-void node_telemetry_init(node_telemetry_t *self, uint32_t every)
+void node_telemetry_init(node_telemetry_t *self, uint32_t every, uint32_t refines)
 {
     memset(self, 0, sizeof *self);
     self->every = every;
+    self->refines = refines;
+    self->judged = 1;
+}
+
+void node_telemetry_follow(node_telemetry_t *self, const zygos_t *arm)
+{
+    self->counter = arm->state.receiver.assembly.counter;
+    self->judged = 1;
 }
 
 static void put(node_telemetry_t *self, enum node_kind kind, uint32_t index, double value)
@@ -61,14 +71,13 @@ static void put(node_telemetry_t *self, enum node_kind kind, uint32_t index, dou
     self->items++;
 }
 
-static void solve(node_telemetry_t *self, zygos_arm_t *arm, const node_losses_t *losses)
+/* The values of a new estimate, in place of those before. */
+static void put_estimate(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses)
 {
-    zygos_estimate_t *const out = &self->estimate;
-    zygos_arm_take(arm, &self->work);
-    (void)zygos_work_solve(&self->work, out);
-    (void)zygos_arm_adopt(arm, out);
+    const zygos_estimate_t *const out = &self->estimate;
     self->items = 0;
     self->next = 0;
+    self->due = 0;
     const double verdict[NODE_VERDICTS] = { (double)out->validity,
                                             (double)out->reason,
                                             (double)(out->cycle % MODULUS),
@@ -91,35 +100,15 @@ static void solve(node_telemetry_t *self, zygos_arm_t *arm, const node_losses_t 
     for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
         put(self, NODE_COUNTER, i, (double)(counter[i] % MODULUS));
     }
-    for (uint32_t i = 0; i < arm->column_map.parameters; i++) {
+    for (uint32_t i = 0; (i < out->parameters) && (i < (uint32_t)ZYGOS_MAX_PARAMETERS); i++) {
         put(self, NODE_ESTIMATE, i, out->value[i]);
         put(self, NODE_SIGMA, i, out->sigma[i]);
         put(self, NODE_HALF95, i, out->half95[i]);
     }
 }
 
-/* So many values are due now that all are sent by the next estimate. */
-static void allot(node_telemetry_t *self)
-{
-    const uint32_t share = (self->items + self->every - 1u) / self->every;
-    self->due = (self->next + share < self->items) ? self->next + share : self->items;
-}
-
-int node_telemetry_sync(node_telemetry_t *self, zygos_arm_t *arm, const node_losses_t *losses)
-{
-    const bool solves = (self->syncs == 0u);
-    if (solves) {
-        solve(self, arm, losses);
-    }
-    self->syncs = (self->syncs + 1u) % self->every;
-    allot(self);
-    if (!solves) {
-        return 1;
-    }
-    return (self->estimate.reason == ZYGOS_REASON_CORRUPT) ? ZYGOS_E_SUMS : 2;
-}
-
-void node_telemetry_refined(node_telemetry_t *self, const zygos_refined_t *refined)
+/* What zygos_refine_judge() has said of the estimate. */
+static void put_refined(node_telemetry_t *self, const zygos_refined_t *refined)
 {
     const double refinement[NODE_REFINEMENTS] = {
         (double)refined->reason,
@@ -142,19 +131,53 @@ void node_telemetry_refined(node_telemetry_t *self, const zygos_refined_t *refin
     for (uint32_t i = 0; i < NODE_REFINEMENTS; i++) {
         put(self, NODE_REFINEMENT, i, refinement[i]);
     }
-    for (uint32_t i = 0; (refined->published == 1u) && (i < refined->parameters); i++) {
+    for (uint32_t i = 0;
+         (refined->published == 1u) && (i < refined->parameters) && (i < (uint32_t)ZYGOS_MAX_PARAMETERS); i++) {
         put(self, NODE_REFINED, i, refined->value[i]);
         put(self, NODE_REFINED_SIGMA, i, refined->sigma[i]);
     }
-    allot(self);
+    self->due = (self->wanted == 1u) ? self->items : self->due;
 }
 
-int node_telemetry_next(node_telemetry_t *self, const zygos_arm_t *arm, zygos_frame_t *out)
+/* So many values are due now that all are sent before the next estimate is due. */
+static void allot(node_telemetry_t *self)
+{
+    const uint32_t syncs = self->every - (uint32_t)((self->syncs - 1u) % self->every);
+    const uint32_t left = self->items - self->next;
+    self->due = self->next + left / syncs + ((left % syncs > 0u) ? 1u : 0u);
+}
+
+int node_telemetry_step(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses)
+{
+    const bool solved = (self->wanted == 1u) && (zygos_solve(arm, &self->estimate) == 1);
+    if (solved) {
+        self->wanted = 0;
+        self->judged = (self->refines == 1u) ? 0u : 1u;
+        put_estimate(self, arm, losses);
+        allot(self);
+    }
+    if ((self->judged == 0u) && (arm->stage == (uint32_t)ZYGOS_STAGE_IDLE)) {
+        self->judged = 1;
+        put_refined(self, &arm->refined);
+    }
+    const uint32_t counter = arm->state.receiver.assembly.counter;
+    const bool accepted = (counter != self->counter) && (counter != 0u); /* one that is repeated changes nothing */
+    self->counter = counter;
+    if (accepted && (self->syncs++ % self->every == 0u)) {
+        self->wanted = 1;
+        self->due = self->items; /* the next estimate may come before the next SYNC */
+    } else if (accepted) {
+        allot(self);
+    }
+    return solved ? 2 : (accepted ? 1 : 0);
+}
+
+int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out)
 {
     while (self->next < self->due) {
         const uint32_t k = self->next++;
         if ((self->value[k] >= -(double)FLT_MAX) && (self->value[k] <= (double)FLT_MAX)) {
-            zygos_wire_encode_telemetry((uint8_t)(arm->receiver.assembly.counter & 0x0Fu), self->index[k],
+            zygos_wire_encode_telemetry((uint8_t)(arm->state.receiver.assembly.counter & 0x0Fu), self->index[k],
                                         self->kind[k], (float)self->value[k], out);
             return 1;
         }

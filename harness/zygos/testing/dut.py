@@ -16,10 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import can
-import numpy as np
 import pytest
 from cantools.database.can import Database
-from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.can.bus import open_bus
@@ -28,10 +26,11 @@ from zygos.can.rounds import TELEMETRY, rounds
 from zygos.errors import ZygosError
 from zygos.files.names import ascii_name
 from zygos.native import snapshot
-from zygos.native.flight import Estimate, Flight, ffi, lib
+from zygos.native.flight import Estimate
 from zygos.testing.latency import Answers, answers
 from zygos.testing.oracle import disagreement, fault_counts
 from zygos.testing.stream import SYNC, Stream
+from zygos.testing.twin import Twin
 
 EXTERNAL = "external"
 """Value of the command for an external device: it runs already, and the bench does not start or stop it."""
@@ -48,28 +47,6 @@ QUIET_S = 0.3
 """A device that has sent nothing for that long has finished, s."""
 
 
-def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0) -> Iterator[None]:
-    """Feed frames to a flight in the way of zygos-node, after `syncs` earlier SYNCs; pauses after each SYNC.
-
-    The node solves at the first SYNC and at every `every`-th after it; its arcs are then judged by that solution.
-    """
-    first = 0
-    for at in np.flatnonzero((frames["id"] == SYNC) & (frames["flags"] == 0)):
-        flight.frames(frames[first:at])
-        first = int(at) + 1
-        verdict = lib.zygos_arm_frame(flight.native, ffi.from_buffer("zygos_frame_t[]", frames[at : at + 1].tobytes()))
-        while lib.zygos_arm_step(flight.native) == 1:
-            pass
-        if verdict != lib.ZYGOS_ACCEPTED:  # a repeated SYNC does not count
-            continue
-        if syncs % every == 0:
-            flight.estimate()
-            flight.adopt()
-        syncs += 1
-        yield
-    flight.frames(frames[first:])
-
-
 class Dut:
     """The device, and a model of it: the C library in this process (`twin`), which is fed with the same frames.
 
@@ -79,8 +56,8 @@ class Dut:
     def __init__(self, arm: Arm, channel: str, command: str, folder: Path) -> None:
         """command: starts the device, or EXTERNAL. folder: place of its files. The device is not started yet."""
         self.arm, self.channel, self.command, self.folder = arm, channel, command, folder
-        self.twin = Flight(arm)
         self.every = EVERY
+        self.twin = Twin(arm, every=EVERY)
         self._heard: list[can.Message] = []
         self.record: dict[str, Any] = {}
         self._process: subprocess.Popen[bytes] | None = None
@@ -111,7 +88,7 @@ class Dut:
             self._end()
             for path in self.folder.glob(f"{self.state.name}*"):  # also the previous generation
                 path.unlink()
-            self.twin = Flight(self.arm)
+            self.twin = Twin(self.arm, every=self.every)
 
     def _end(self) -> None:
         if self._process is not None:
@@ -147,10 +124,10 @@ class Dut:
         if node is None:
             raise ZygosError(f"there is no {self.command}; remedy: run make node, or use --zygos-dut {EXTERNAL}")
         blob, errors_file = self.folder / "arm.zyg", self.folder / "stderr"
-        self.twin = Flight(self.arm)
-        snapshot.write(blob, "configuration", ffi.addressof(self.twin.native, "config"))
+        self.twin = Twin(self.arm, every=every)
+        snapshot.write(blob, "configuration", self.twin.config)
         if self.state.exists():
-            snapshot.resume(self.twin, self.state)  # as the device will do
+            self.twin.resume(self.state)  # as the device will do
         files = ["--config", str(blob), "--state", str(self.state)]
         command = [node, "-i", self.channel, *files, "--every", str(every)]
         with errors_file.open("wb") as errors, (self.folder / "stdout").open("wb") as out:
@@ -271,33 +248,33 @@ class Dut:
             assert found == Counter(self.twin.faults) - before, f"the device counts {dict(found)} more than before"
         else:
             assert found == wanted, f"the device counts {dict(found)}, not {dict(wanted)}"
-            assert self.state.read_bytes() == snapshot.seal("state", self.twin.native), "the state is not the library's"
+            assert self.state.read_bytes() == self.twin.seal(), "the state is not the library's"
         if len(streams) == 1:
             reference = fault_counts(streams[0])
             assert reference == wanted, f"the reference counts {reference}, not {dict(wanted)}"
-        for name, value, sigma in zip(estimate.names, estimate.value, estimate.sigma, strict=True):
-            for item, x in ((ascii_name(name), value), (f"{ascii_name(name)}_sigma", sigma)):
+        for k, name in enumerate(self.twin.names):
+            of = ascii_name(name)
+            for item, x in ((of, float(estimate.value[k])), (f"{of}_sigma", float(estimate.sigma[k]))):
                 same = abs(answer.get(item, math.nan) - x) <= 1e-6 * abs(x)
                 assert same or (math.isnan(x) and item not in answer), f"{item} is {answer.get(item)}, not {x}"
         off = disagreement(self._learned(streams), *streams)
         assert off <= 1.0, f"the estimate is off by {off:.3g} tolerances"
 
-    def _hear(self, stream: Stream, cycle: int) -> Estimate:
-        """Feed the twin with a stream. Returns its estimate at a cycle, given by its number modulo 2^24."""
-        estimate = None
-        for _ in hear(self.twin, stream.frames, self.every):
-            if estimate is None and int(self.twin.native.cycle) % _MODULUS == cycle:
-                estimate = self.twin.estimate()
-        assert estimate is not None, f"the device answers with cycle {cycle}, which was not in the stream"
-        return estimate
+    def _hear(self, stream: Stream, cycle: int) -> Any:
+        """Feed the twin with a stream. Returns its estimate at a cycle, given by its number modulo 2^24, a
+        ``zygos_estimate_t *``."""
+        first = len(self.twin.answers)
+        self.twin.hear(stream.passed())
+        told = {int(answer.estimate.cycle) % _MODULUS: answer.estimate for answer in self.twin.answers[first:]}
+        assert cycle in told, f"the device answers with cycle {cycle}, at which none was due"
+        return told[cycle]
 
     def _learned(self, streams: Sequence[Stream]) -> Estimate:
         """The library's estimate from these streams."""
         if not self.external:
             return self.twin.estimate()
-        alone = Flight(self.arm)
-        for _ in hear(alone, streams[-1].frames, self.every):
-            pass
+        alone = Twin(self.arm, every=self.every)
+        alone.hear(streams[-1].passed())
         return alone.estimate()
 
 

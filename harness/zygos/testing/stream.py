@@ -18,6 +18,8 @@ from zygos.runs.cycles import Cycles
 
 SYNC = 0x080
 """Identifier of SYNC."""
+_ERROR = 4
+"""Of a frame's flags: it tells of an error on the bus."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,11 @@ class Stream:
         ours: NDArray[np.bool_] = np.isin(self.frames["id"], list(identifiers(self.arm)))
         ours &= self.frames["flags"] == 0
         return ours
+
+    def passed(self) -> NDArray[Any]:
+        """The frames that pass the filters of a device: those with an identifier of the arm, and error frames."""
+        passed: NDArray[Any] = self.frames[self.ours() | ((self.frames["flags"] & _ERROR) != 0)]
+        return passed
 
     def messages(self) -> list[can.Message]:
         """The frames as python-can's messages, stamped with the time at which they are to be sent."""
