@@ -15,7 +15,7 @@ from state_support import Place, members
 from zygos.arm import Arm
 from zygos.model.model import Model
 from zygos.native import snapshot
-from zygos.native.flight import Estimate, Flight, encode, ffi
+from zygos.native.flight import Estimate, Flight, encode, ffi, lib
 from zygos.runs.cycles import VOID_BEFORE, VOID_SHIFT, Cycles
 from zygos.simulation.plant import Trajectory
 from zygos.simulation.scenario import Scenario
@@ -138,6 +138,7 @@ def test_what_was_forgotten_long_ago_is_nothing_and_not_corrupt(arm: Arm, motion
     """Hours of arcs that are too short to count: all that was known fades, below what doubles can hold."""
     flight, rng = Flight(with_all_rows(arm)), np.random.default_rng(0)
     flight.native.config.forgetting_factor = keep
+    assert lib.zygos_arm_init(flight.native, ffi.addressof(flight.native, "config")) == 1
     fly(flight, motion, 2, rng)
     short = part(again(flight.arm, motion, 1, rng), 0, 25)
     seen = set()
