@@ -174,24 +174,24 @@ def test_memory_is_told_before_anything_is_flashed(tmp_path: Path, capsys: pytes
     need(shutil.which("gcc"), "gcc: the memory of a build stays unchecked")
     text = (tmp_path / "arm_config.h").read_text()
     for build, listed, line, struct in (
-        ("least_build", "bytes", "The smallest build that holds it", "work"),
-        ("in_place_build", "in_place_bytes", "With the fewest blocks", "solver"),
+        ("least_build", "bytes", "The smallest build that holds it", "background"),
+        ("in_place_build", "in_place_bytes", "With the fewest blocks", "in_place"),
     ):
         flags = [f"-D{name}={value}" for name, value in answer[build].items()]
         found = _bytes_of(tmp_path, flags, struct)
         assert list(answer[listed].values()) == found
         assert f"// {line}: {' '.join(flags)}\n" in text
         assert f"options of this build: {' '.join(flags)}\n" in said
-        assert f"t takes {sum(found):,} bytes: configuration {found[0]:,}, state {found[1]:,}, {struct} " in text
+        assert f"t takes {sum(found):,} bytes: configuration {found[0]:,}, arm {found[1]:,}, {struct} " in text
         assert f"{sum(found):,}" in said
 
 
 def _bytes_of(folder: Path, flags: Sequence[str], struct: str) -> list[int]:
-    """What a compiler makes of configuration, state, work or solver, and estimate."""
+    """What a compiler makes of configuration, arm, memory for solutions, and estimate."""
     program = (
         '#include "zygos/zygos.h"\n#include <stdio.h>\n'
         'int main(void) { printf("%d %d %d %d", (int)sizeof(zygos_config_t), '
-        f"(int)sizeof(zygos_arm_t), (int)sizeof(zygos_{struct}_t), (int)sizeof(zygos_estimate_t)); return 0; }}\n"
+        f"(int)sizeof(zygos_t), (int)sizeof(zygos_{struct}_t), (int)sizeof(zygos_estimate_t)); return 0; }}\n"
     )
     (folder / "sizes.c").write_text(program)
     command = ["gcc", "-std=c11", *flags, f"-I{ROOT / 'include'}", str(folder / "sizes.c")]

@@ -9,7 +9,7 @@ from build_support import tool
 from fuzz_support import FEW_BLOCKS, build, counts
 
 
-@pytest.mark.slow(but=["fine-gyro"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cc", "seed", "joints", "fine", "frames"),
     [("clang", 1, 2, 1, 80_000), ("gcc", 2, 2, 0, 250_000), ("gcc", 3, 7, 1, 250_000)],

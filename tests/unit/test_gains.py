@@ -173,6 +173,7 @@ def _with_noise(cycles: Cycles) -> Cycles:
     return replace(cycles, tau=cycles.tau * (1.0 + 0.005 * rng.normal(size=cycles.tau.shape)))
 
 
+@pytest.mark.slow
 def test_a_refinement_finds_the_gain(cycles: Cycles) -> None:
     """A gain within the declared 1 % makes no value wrong, and is known to a small part of it."""
     arm, true = _noisy_torques()
