@@ -8,7 +8,7 @@ SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos
 C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h include/zygos/priv/*.h tests/builds/*.c tests/fuzz/*.[ch] tests/bench/*.c tests/upset/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
-export CFLAGS += -Werror
+export CFLAGS := $(filter-out -Werror,$(CFLAGS)) -Werror
 endif
 
 # The library for linking. It needs a C compiler and no Python.

@@ -286,6 +286,7 @@ def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_pa
     assert shares[1][1] < 0.18
 
 
+@pytest.mark.slow(but=["0.0-*"])
 @pytest.mark.parametrize(("inertia", "answer"), [(0.0, "named"), (1e-12, "values differ")])
 def test_a_rotor_without_inertia_is_found_as_such(inertia: float, answer: str) -> None:
     """A drawing may say that it has none, and no friction is named in its place."""

@@ -36,6 +36,7 @@ def leaking() -> Study:
     return begin(runs, replace(hypothesis, layout=layout), from_model(trial.arm, model))
 
 
+@pytest.mark.slow
 def test_the_best_of_a_finer_grid_may_lie_at_its_end(leaking: Study) -> None:
     """The search named the last onset of a finer grid, beyond which the true one lies."""
     name = f"base_leak@{FINER[-1]:.6g}"
