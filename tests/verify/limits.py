@@ -27,9 +27,9 @@ COUNTED = {"x86-64": ("paper, bare", "paper", "spatial"), "m7": ("paper, bare", 
 """Configurations of tests/bench whose cycles are counted. Those that are not are too slow for a check."""
 CYCLES = 750
 """That are fed."""
-CALLS = ("zygos.h", "priv/arm.h", "priv/solver.h", "snapshot.h", "wire.h", "text.h", "refine.h")
+CALLS = ("zygos.h", "snapshot.h", "wire.h", "text.h", "refine.h")
 """Headers of what onboard software calls."""
-STRUCTS = ("zygos_arm_t", "zygos_work_t", "zygos_estimate_t", "zygos_refine_t")
+STRUCTS = ("zygos_t", "zygos_background_t", "zygos_in_place_t", "zygos_estimate_t", "zygos_refine_t")
 
 
 def public() -> list[str]:
