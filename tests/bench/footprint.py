@@ -16,6 +16,8 @@ from conftest import ROOT
 
 ENTRIES = ("zygos_init", "zygos_frame", "zygos_step", "zygos_solve")
 """What an onboard program calls; all else is left out by the linker."""
+REFINEMENT = {"attach", "refine", "refiner", "propagation"}
+"""Files that a program leaves out, or an archive does not link, where nothing is refined."""
 LIBRARY = "library"
 """The stage of all of them together."""
 
@@ -49,7 +51,8 @@ def footprints(target: str, folder: Path, capacities: tuple[str, ...]) -> dict[s
         image = folder / "linked.elf"
         keep = [f"--undefined={entry}" for entry in entries]
         command = [f"{prefix}ld", "--gc-sections", f"--entry={entries[0]}", *keep, "--unresolved-symbols=ignore-all"]
-        subprocess.run([*command, *(f"{room.stem}.o" for room in rooms), "-o", image.name], cwd=folder, check=True)
+        objects = [f"{room.stem}.o" for room in rooms if room.stem not in REFINEMENT]
+        subprocess.run([*command, *objects, "-o", image.name], cwd=folder, check=True)
         return image
 
     found = {}

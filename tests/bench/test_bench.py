@@ -187,7 +187,7 @@ def test_bytes_of_code_add_up(tmp_path: Path) -> None:
     library = found["library"]
     assert max(found[one].code for one in ("frame", "step", "solve")) < library.code
     rooms = sum(found[one].code for one in RELEVANT if one != "frame") + found["solver"].code
-    assert 0.5 < rooms / library.code < 1.0, "the refinement, which zygos_step() calls, is no room"
+    assert 0.75 < rooms / library.code < 1.0
     assert library.stack == max(one.stack for one in found.values())
 
 
