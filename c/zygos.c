@@ -10,6 +10,8 @@
 #define PATIENCE 512u
 /* Time constants of forgetting after which sums count as forgotten: 5 % are left. */
 #define FADED 3.0
+/* Cycles without a copy, for each with one, in which the tasks that have waited proceed. */
+#define PAUSES 2u
 /* The most cycles that follow a copy without one, whatever memory says of how long that one took. */
 #define LONGEST_PAUSE 16384u
 /* Cycles in which a copy waits for a pass of the patrol, whatever the capacities of the build are. */
@@ -199,6 +201,7 @@ static void move_to(zygos_t *self, enum zygos_stage stage)
 
 /* A flag that decides who owns memory, stored like that. */
 #define SET 7u
+#define SPOILED 8u
 static bool is_set(uint32_t flag)
 {
     return (two_of_words(flag, flag >> 1u, flag >> 2u) & 1u) != 0;
@@ -376,6 +379,13 @@ static bool is_comparing(const zygos_arm_t *arm)
            (arm->ending != 0);
 }
 
+/* Where sums are dropped, tasks would have to be finished at once. */
+static bool has_tasks(const zygos_arm_t *arm)
+{
+    return zygos_accumulator_busy(&arm->accumulator) || (arm->motor_sums.task != ZYGOS_MOTOR_NONE) ||
+           (arm->momentum_sums.task != ZYGOS_MOMENTUM_NONE);
+}
+
 /* Judges what is refined by a new estimate. What cannot be judged is not published any more. */
 static void judge(zygos_t *self, const zygos_given_t *given)
 {
@@ -405,12 +415,20 @@ static void adopt(zygos_t *self, const zygos_given_t *given)
     zygos_background_t *background = background_of(given);
     const zygos_estimate_t *estimate = estimate_of(given);
     zygos_arm_t *arm = &self->state;
-    if ((background != NULL) && is_comparing(arm) && (self->waited < PATIENCE)) {
+    const bool busy = is_comparing(arm) || ((estimate->since > 0) && has_tasks(arm));
+    if ((background != NULL) && busy && (self->waited < PATIENCE)) {
         self->waited++;
         return;
     }
+    if (self->adopting != SET) { /* in a cycle of its own, because the checksum costs as much as the adoption */
+        self->adopting = (*seal_of(given) == checksum_of(given, estimate)) ? SET : SPOILED;
+        if (self->adopting == SET) {
+            return;
+        }
+    }
+    const bool whole = (self->adopting == SET);
+    self->adopting = 0;
     self->waited = 0;
-    const bool whole = (*seal_of(given) == checksum_of(given, estimate));
     const bool current = whole && (((background != NULL) ? background->of : in_place_of(given)->of) == self->restarts);
     self->repairs += whole ? 0u : 1u; /* an estimate that was changed since is not used */
     uint32_t *corrupt = (background != NULL) ? &background->corrupt : &in_place_of(given)->corrupt;

@@ -125,6 +125,8 @@ typedef struct {
     uint32_t quiet;           ///< Calls in a row without a cycle.
     uint32_t restarts;        ///< Times that the sums were given up: zygos_restart(), and memory beyond repair.
     uint32_t verifying;       ///< Cycles until the tables that the copied sums rest on are verified; 0: no copy waits.
+    uint32_t adopting;        ///< 7: the estimate that waits to be adopted is as it was solved.
+    uint32_t reserved;
     zygos_given_t given[3];
     zygos_handover_t handover;
     zygos_patrol_t patrol;
