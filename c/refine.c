@@ -385,7 +385,9 @@ int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
         }
         found |= (uint32_t)ZYGOS_SCRUBBED_CONFIG;
     }
-    self->magic = MAGIC;
+    if (off != 0u) { /* zygos_refine_cycle() may be reading it */
+        self->magic = MAGIC;
+    }
     self->config_seal ^= config_off;
     const bool tables = (self->tables_seal != tables_seal_of(self));
     const bool places = (self->places_seal != places_of(self));
