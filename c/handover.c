@@ -90,11 +90,12 @@ static void cut_buffer(const zygos_accumulator_t *from, zygos_accumulator_t *to,
     copy(REST(&to->buffer[b], buffer, zygos_row_buffer_t, instants));
 }
 
-static void copy_noise(const zygos_noise_sums_t *from, zygos_noise_sums_t *to, uint32_t width)
+static void copy_sums(const double *gram, const double *sum, double *to_gram, double *to_sum, uint32_t width)
 {
-    copy(piece(to->gram, from->gram, zygos_gram_entries(width)));
-    copy(piece(to->sum, from->sum, width));
+    copy(piece(to_gram, gram, zygos_gram_entries(width)));
+    copy(piece(to_sum, sum, width));
 }
+#define COPY_SUMS(from, to, width) copy_sums((from)->gram, (from)->sum, (to)->gram, (to)->sum, width)
 
 /* Slices of a buffer that a cycle adds to blocks, at the most (zygos_accumulator_add()). */
 #define MOST_SLICES 3u
@@ -197,7 +198,7 @@ static void cut_energy(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wor
         copy_quarter(from, to, 0);
     }
     if (from->noisy != 0) {
-        copy_noise(&from->noise_open[from->parity & 1u], &to->noise_open[from->parity & 1u], energy_width(from) - 1u);
+        COPY_SUMS(&from->noise_open[from->parity & 1u], &to->noise_open[from->parity & 1u], energy_width(from) - 1u);
     }
     work->arc = arm->arc;
 }
@@ -235,9 +236,9 @@ static bool energy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wo
     if (unit == 0) {
         copy(piece(to->mean, from->mean, width));
         to->scan = from->scan;
-        copy_noise(&from->noise_open[closing], &to->noise_open[closing], width - 1u);
+        COPY_SUMS(&from->noise_open[closing], &to->noise_open[closing], width - 1u);
     } else if (unit == 1u) {
-        copy_noise(&from->noise_closed, &to->noise_closed, width - 1u);
+        COPY_SUMS(&from->noise_closed, &to->noise_closed, width - 1u);
     } else if (unit - 2u < least(to->count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
         cut_block(self, from, to, to->order[unit - 2u]);
     } else {
@@ -293,12 +294,6 @@ static uint32_t momentum_width(const zygos_momentum_sums_t *from)
     return least(from->columns + 3u, (uint32_t)ZYGOS_MAX_MOMENTUM_ROW);
 }
 
-static void copy_momentum(const zygos_momentum_gram_t *from, zygos_momentum_gram_t *to, uint32_t width)
-{
-    copy(piece(to->gram, from->gram, zygos_gram_entries(width)));
-    copy(piece(to->sum, from->sum, width));
-}
-
 static void cut_momentum(const zygos_arm_t *arm, zygos_work_t *work)
 {
     const zygos_momentum_sums_t *from = &arm->momentum_sums;
@@ -306,8 +301,8 @@ static void cut_momentum(const zygos_arm_t *arm, zygos_work_t *work)
     const uint32_t width = momentum_width(from);
     const uint32_t open = from->parity & 1u;
     copy(SPAN(to, from, zygos_momentum_sums_t, columns, deviation));
-    copy_momentum(&from->noise_arc[open], &to->noise_arc[open], width);
-    copy_momentum(&from->arc.rows, &to->arc.rows, width);
+    COPY_SUMS(&from->noise_arc[open], &to->noise_arc[open], width);
+    COPY_SUMS(&from->arc.rows, &to->arc.rows, width);
     copy(REST(&to->arc, &from->arc, zygos_momentum_block_t, instants));
 }
 
@@ -321,18 +316,18 @@ static bool momentum_unit(const zygos_handover_t *self, const zygos_arm_t *arm, 
     if (self->unit == 0) {
         copy(SPAN(to, from, zygos_momentum_sums_t, deviation, noise_arc));
         to->scan = from->scan;
-        copy_momentum(&from->noise_arc[closing], &to->noise_arc[closing], width);
+        COPY_SUMS(&from->noise_arc[closing], &to->noise_arc[closing], width);
         return true;
     }
     if (self->unit == 1u) {
-        copy_momentum(&from->noise_closed, &to->noise_closed, width);
+        COPY_SUMS(&from->noise_closed, &to->noise_closed, width);
         return true;
     }
     const uint32_t b = self->unit - 2u;
     if ((from->columns == 0) || (b > least(to->count, (uint32_t)ZYGOS_MOMENTUM_PLACES - 1u))) {
         return false;
     }
-    copy_momentum(&from->block[b].rows, &to->block[b].rows, width);
+    COPY_SUMS(&from->block[b].rows, &to->block[b].rows, width);
     copy(REST(&to->block[b], &from->block[b], zygos_momentum_block_t, instants));
     return true;
 }
@@ -344,23 +339,17 @@ static uint32_t joint_width(const zygos_joint_sums_t *from)
     return least(from->width, (uint32_t)ZYGOS_MAX_JOINT_ROW);
 }
 
-static void cut_joint_gram(const zygos_joint_gram_t *from, zygos_joint_gram_t *to, uint32_t width)
-{
-    copy(piece(to->gram, from->gram, zygos_gram_entries(width)));
-    copy(piece(to->sum, from->sum, width));
-}
-
 static void cut_segment(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, uint32_t s)
 {
     const uint32_t width = joint_width(from);
-    cut_joint_gram(&from->segment[s].rows, &to->segment[s].rows, width);
-    cut_joint_gram(&from->segment[s].noise, &to->segment[s].noise, width);
+    COPY_SUMS(&from->segment[s].rows, &to->segment[s].rows, width);
+    COPY_SUMS(&from->segment[s].noise, &to->segment[s].noise, width);
     copy(REST(&to->segment[s], &from->segment[s], zygos_joint_segment_t, apart));
 }
 
 static void cut_group(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, uint32_t g)
 {
-    cut_joint_gram(&from->group[g].rows, &to->group[g].rows, joint_width(from));
+    COPY_SUMS(&from->group[g].rows, &to->group[g].rows, joint_width(from));
     copy(REST(&to->group[g], &from->group[g], zygos_joint_group_t, count));
 }
 
@@ -388,8 +377,8 @@ static void cut_joints(const zygos_arm_t *arm, zygos_work_t *work)
     cut_segment(from, to, filling);
     if (from->adding != 0) {
         cut_segment(from, to, filling ^ 1u);
-        cut_joint_gram(&from->noise, &to->noise, joint_width(from));
-        cut_joint_gram(&from->apart, &to->apart, joint_width(from));
+        COPY_SUMS(&from->noise, &to->noise, joint_width(from));
+        COPY_SUMS(&from->apart, &to->apart, joint_width(from));
         cut_group(from, to, least(from->target, (uint32_t)ZYGOS_SET_ASIDE));
     }
 }
@@ -406,8 +395,8 @@ static bool joint_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zyg
     if (self->unit == 0) {
         copy(SPAN(to, from, zygos_joint_sums_t, weight, noise));
         if (!adding) {
-            cut_joint_gram(&from->noise, &to->noise, joint_width(from));
-            cut_joint_gram(&from->apart, &to->apart, joint_width(from));
+            COPY_SUMS(&from->noise, &to->noise, joint_width(from));
+            COPY_SUMS(&from->apart, &to->apart, joint_width(from));
         }
     } else if (!adding || (self->unit - 1u != to->target)) {
         cut_group(from, to, self->unit - 1u);

@@ -55,11 +55,11 @@ class Campaign:
 PLANAR = ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0", "-DZYGOS_MOMENTUM=0")
 FEWEST = (*PLANAR, "-DZYGOS_MAX_BLOCKS=11", "-DZYGOS_MAX_MOTOR_BLOCKS=4")
 CAMPAIGNS = {
-    "planar": Campaign("2 joints in a plane", "paper", PLANAR, 120.0, 1500),
-    "in_place": Campaign("2 joints in a plane, 11 blocks, in place", "paper", FEWEST, 120.0, 1500, IN_PLACE),
-    "refined": Campaign("2 joints in a plane, refined", "paper", PLANAR, 120.0, 1500, REFINED),
-    "fading": Campaign("2 joints in a plane, fading", "paper", PLANAR, 120.0, 1500, memory_s=30.0),
-    "pairs": Campaign("2 joints in a plane, pairs of bits", "paper", PLANAR, 120.0, 1500, PAIRS),
+    "planar": Campaign("2 joints in a plane", "paper", PLANAR, 140.0, 1500),
+    "in_place": Campaign("2 joints in a plane, 11 blocks, in place", "paper", FEWEST, 140.0, 1500, IN_PLACE),
+    "refined": Campaign("2 joints in a plane, refined", "paper", PLANAR, 140.0, 1500, REFINED),
+    "fading": Campaign("2 joints in a plane, fading", "paper", PLANAR, 140.0, 1500, memory_s=30.0),
+    "pairs": Campaign("2 joints in a plane, pairs of bits", "paper", PLANAR, 140.0, 1500, PAIRS),
     "spatial": Campaign("3 joints in space", "spatial", ("-DZYGOS_MAX_JOINTS=3",), 30.0, 12000),
 }
 
@@ -90,7 +90,7 @@ def fly(name: str, trials: int, seed: int = 0, folder: Path = FOLDER) -> NDArray
     place.mkdir(parents=True, exist_ok=True)
     cycles = write(one, place)
     program = build(one, place)
-    last = cycles - 2 * ARC_CYCLES
+    last = cycles - 3 * ARC_CYCLES
     places = [place / "run.bin", one.first, last, trials, seed, one.kind, place / "records.bin"]
     command = ["nice", "-n", "15", program, *places]
     subprocess.run([str(part) for part in command], check=True, stderr=(place / "said.txt").open("w"))
