@@ -24,7 +24,7 @@ SIZED = [name for name in CONFIGURATIONS if name.endswith(BARE) or name == "grou
 
 BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 3600, ("m7", "seven, bare"): 80_000}
 """Most instructions of a full cycle, by target and configuration."""
-HELD = {("x86-64", "paper, bare"): 5200, ("m7", "paper, bare"): 5600, ("m7", "seven, bare"): 90_000}
+HELD = {("x86-64", "paper, bare"): 5270, ("m7", "paper, bare"): 5600, ("m7", "seven, bare"): 90_000}
 """What is held: a budget that is met, and what stands in place of those that are missed. Each cycle stores its frames
 in the interrupt and decodes them in the task, verifies the places by which it addresses memory, the integrals and a
 part of the tables (docs/upset.md), and has its share of the work beside the rows."""
