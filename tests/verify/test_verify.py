@@ -281,13 +281,13 @@ def test_every_public_call_has_a_limit() -> None:
     assert set(stored) == set(limits.COUNTED)
     for target, known in stored.items():
         for call in (
-            "zygos_arm_init",
-            "zygos_arm_frame",
-            "zygos_arm_step",
-            "zygos_arm_take",
-            "zygos_work_solve",
-            "zygos_arm_adopt",
-            "zygos_arm_check",
+            "zygos_init",
+            "zygos_frame",
+            "zygos_step",
+            "zygos_solve",
+            "zygos_restart",
+            "zygos_seal",
+            "zygos_resume",
         ):
             assert call in limits.public()
             assert f"bytes of stack below {call}(): paper" in known, target
