@@ -69,8 +69,8 @@ uint64_t zygos_tables_checksum(const zygos_arm_t *arm)
 {
     uint64_t sum = counts_checksum(arm);
     for (uint32_t k = 0; k < REGIONS; k++) {
-        const region_t region = region_of(arm, k);
-        sum = zygos_checksum_memory(sum, region.memory, region.bytes);
+        const region_t table = region_of(arm, k);
+        sum = zygos_checksum_memory(sum, table.memory, table.bytes);
     }
     return sum;
 }

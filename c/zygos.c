@@ -10,8 +10,6 @@
 #define PATIENCE 512u
 /* Time constants of forgetting after which sums count as forgotten: 5 % are left. */
 #define FADED 3.0
-/* Cycles without a copy, for each with one, in which the tasks that have waited proceed. */
-#define PAUSES 2u
 /* The most cycles that follow a copy without one, whatever memory says of how long that one took. */
 #define LONGEST_PAUSE 16384u
 /* Cycles in which a copy waits for a pass of the patrol, whatever the capacities of the build are. */
@@ -389,8 +387,8 @@ static bool has_tasks(const zygos_arm_t *arm)
 /* Judges what is refined by a new estimate. What cannot be judged is not published any more. */
 static void judge(zygos_t *self, const zygos_given_t *given)
 {
-    const zygos_refine_t *refine = refine_of(given);
-    if ((refine != NULL) && (zygos_refine_judge(refine, config_of(given), estimate_of(given), &self->refined) < 0)) {
+    const zygos_refine_t *task = refine_of(given);
+    if ((task != NULL) && (zygos_refine_judge(task, config_of(given), estimate_of(given), &self->refined) < 0)) {
         publish_nothing(self, ZYGOS_REFINE_CORRUPT);
     }
 }
@@ -398,11 +396,11 @@ static void judge(zygos_t *self, const zygos_given_t *given)
 /* The refinement of another arm ends. */
 static void refine_anew(zygos_t *self, const zygos_given_t *given)
 {
-    zygos_refine_t *refine = refine_of(given);
-    if (refine != NULL) {
-        if (zygos_refine_scrub(refine, config_of(given)) >= 0) { /* else the settings are not to be trusted */
-            const zygos_refine_settings_t settings = refine->settings;
-            (void)zygos_refine_init(refine, config_of(given), &settings);
+    zygos_refine_t *task = refine_of(given);
+    if (task != NULL) {
+        if (zygos_refine_scrub(task, config_of(given)) >= 0) { /* else the settings are not to be trusted */
+            const zygos_refine_settings_t settings = task->settings;
+            (void)zygos_refine_init(task, config_of(given), &settings);
         }
         publish_nothing(self, ZYGOS_REFINE_WAITS);
     }
