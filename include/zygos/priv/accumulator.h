@@ -1,4 +1,4 @@
-/// zygos/accumulator.h: accumulates the normal equations of the energy rows, in fixed memory and for any duration.
+/// zygos/priv/accumulator.h: accumulates the normal equations of the energy rows, in fixed memory and for any duration.
 ///
 /// Within an arc each row is [y, D] . x + constant = W with the same unknown constant. The accumulator sums the outer
 /// products of z = [row, W, 1]. The last column contains what is needed to eliminate the constant exactly when the arc

@@ -1,4 +1,4 @@
-/// zygos/balance.h: forms one row of the energy balance for each instant.
+/// zygos/priv/balance.h: forms one row of the energy balance for each instant.
 ///
 ///     work of the motors W_k = row_k . parameters + constant of the arc
 ///

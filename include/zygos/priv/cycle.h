@@ -1,4 +1,4 @@
-/// zygos/cycle.h: assembles frames into complete cycles.
+/// zygos/priv/cycle.h: assembles frames into complete cycles.
 ///
 /// A SYNC opens a cycle and closes the one before. A cycle is complete when the angle and torque frames of each joint
 /// and the rate frames of the gyro have arrived exactly once, valid, and with the counter of this SYNC. Neither receive

@@ -1,4 +1,4 @@
-/// zygos/effects.h: columns of the balance for effects beyond rigid bodies, rotors, linear springs and dampers.
+/// zygos/priv/effects.h: columns of the balance for effects beyond rigid bodies, rotors, linear springs and dampers.
 ///
 /// An effect with coefficient c adds c times its column to the left side of the balance. With the smoothed state of its
 /// joint, sat(v) = clamp(v / ZYGOS_COULOMB_FULL_RATE, -1, 1), the gear ratio n and d = theta - q, the columns are

@@ -1,4 +1,4 @@
-/// zygos/guard.h: excludes arcs that contradict the estimate (outlier rejection).
+/// zygos/priv/guard.h: excludes arcs that contradict the estimate (outlier rejection).
 ///
 /// A single arc with a sensor that is stuck, a frame that repeats an old value or a torque that was not applied would
 /// corrupt the sums permanently. Therefore each arc is compared, when it ends, with a running solution x, which

@@ -1,4 +1,4 @@
-/// zygos/joint.h: rows of the joints' momentum over short increments.
+/// zygos/priv/joint.h: rows of the joints' momentum over short increments.
 ///
 /// For the angle q_j of a link the generalised momentum is p_j = dT/dq'_j, and from t_a to t_b
 ///

@@ -1,4 +1,4 @@
-/// zygos/jointsums.h: accumulates the normal equations of the joint rows in interleaved groups.
+/// zygos/priv/jointsums.h: accumulates the normal equations of the joint rows in interleaved groups.
 ///
 /// The rows of all joints are added to one matrix. Each is divided by the standard deviation of its joint's torque
 /// noise, if that is declared for every joint; otherwise all have the same weight. Joint rows have no constants:

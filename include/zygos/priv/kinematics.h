@@ -1,4 +1,4 @@
-/// zygos/kinematics.h: computes rate vectors, and the columns of the bodies in the energy balance.
+/// zygos/priv/kinematics.h: computes rate vectors, and the columns of the bodies in the energy balance.
 ///
 /// The kinetic energy of an arm is the product of a constant symmetric matrix N with the Gram matrix of its rate
 /// vectors (docs/theory.md). Body i rotates at w_i and has two body-fixed directions perpendicular to its joint axis; a

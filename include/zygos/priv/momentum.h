@@ -1,4 +1,4 @@
-/// zygos/momentum.h: forms rows of the angular momentum of a free-floating arm, one for a planar arm and three in
+/// zygos/priv/momentum.h: forms rows of the angular momentum of a free-floating arm, one for a planar arm and three in
 /// space.
 ///
 ///     0 = row_k . parameters + constant of the arc

@@ -1,4 +1,4 @@
-/// zygos/momentumsums.h: accumulates the normal equations of the momentum rows.
+/// zygos/priv/momentumsums.h: accumulates the normal equations of the momentum rows.
 ///
 /// The rows contain only the kinetic parameters and the rotors, and their right-hand side is zero; their sums are
 /// separate from those of the energy rows until the solver adds both. Neighbouring instants give nearly the same

@@ -1,4 +1,4 @@
-/// zygos/motorsums.h: accumulates the normal equations of the motor impulse rows, a small set for each joint.
+/// zygos/priv/motorsums.h: accumulates the normal equations of the motor impulse rows, a small set for each joint.
 ///
 /// The rows of a joint contain only its own parameters. Their sums are therefore separate from those of the energy rows
 /// until the solver adds both, each with a weight by its noise. The bias by the noise of the sensors is the same at

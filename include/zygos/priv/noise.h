@@ -1,4 +1,4 @@
-/// zygos/noise.h: the bias of the normal equations by the noise of the sensors.
+/// zygos/priv/noise.h: the bias of the normal equations by the noise of the sensors.
 ///
 /// A row is computed from noisy angles and rates, and products of rows contain the square of that noise: it biases
 /// every estimate towards zero, and more data do not help. The noise of a smoothed signal is known, however: it is the

@@ -1,4 +1,4 @@
-/// zygos/propagation.h: moves an arm with flexible joints over one SYNC period, with the derivatives of the motion.
+/// zygos/priv/propagation.h: moves an arm with flexible joints over one SYNC period with the derivatives of the motion.
 ///
 /// The residual r(x, y; p) of the equations of motion is linear in the parameters p and in the accelerations y of base,
 /// links and motors (docs/theory.md, "The information limit"). From it follow the accelerations and their derivatives

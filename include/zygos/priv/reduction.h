@@ -1,4 +1,4 @@
-/// zygos/reduction.h: reduces the columns of a row to the structurally independent ones.
+/// zygos/priv/reduction.h: reduces the columns of a row to the structurally independent ones.
 ///
 /// Some columns are linear combinations of others in every motion, because of the arm's geometry: axes that are
 /// parallel or perpendicular, a base that does not move. A row over all columns, z, is then formed as before, and

@@ -1,4 +1,4 @@
-/// zygos/refiner.h: a square-root filter for the state of an arm with flexible joints and its parameters.
+/// zygos/priv/refiner.h: a square-root filter for the state of an arm with flexible joints and its parameters.
 ///
 /// Rows of the energy balance need no model of how noise passes through the motion, but use a small part of what the
 /// frames hold. This extended Kalman filter uses nearly all of it, if the model is complete. It starts from an

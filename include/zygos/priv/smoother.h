@@ -1,4 +1,4 @@
-/// zygos/smoother.h: a Savitzky-Golay filter with a fixed lag, which provides all angles and rates.
+/// zygos/priv/smoother.h: a Savitzky-Golay filter with a fixed lag, which provides all angles and rates.
 ///
 /// A polynomial is fitted to the 2 M + 1 samples around instant k; its value and slope at k are the smoothed signal and
 /// rate. All signals of an instant are computed from the same samples, so that no row mixes raw and smoothed angles.

@@ -1,4 +1,4 @@
-/// zygos/solver.h: solves the normal equations for parameters, standard deviations and a verdict.
+/// zygos/priv/solver.h: solves the normal equations for parameters, standard deviations and a verdict.
 ///
 /// The columns are scaled to unit length, and the matrix is factorised by Cholesky with symmetric pivoting. Columns
 /// that are linear combinations of others are removed from the factorisation; they, and every parameter that they can
