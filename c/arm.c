@@ -178,39 +178,36 @@ static uint32_t least(uint32_t a, uint32_t b)
     return (a < b) ? a : b;
 }
 
+/* Continues the fold of counts of which there may be more than bits. The factor is odd, so that a flipped bit always
+   changes the product. */
+static inline uint32_t mixed(uint32_t fold, uint32_t count)
+{
+    return (((fold << 16u) | (fold >> 16u)) ^ count) * 0x9E3779B1u;
+}
+
 /* The part of places_of() that many configurations do not have. */
-static uint64_t further_places_of(const zygos_arm_t *self, uint32_t counts)
+static uint32_t further_places_of(const zygos_arm_t *self, uint32_t counts)
 {
     const zygos_config_t *config = &self->config;
-    uint64_t fold = zygos_checksum_number(0u, counts); /* so that none of these cancels one of those */
-    const uint32_t lengths[6] = { config->effects,          config->reductions,          config->reduced,
-                                  self->column_map.reduced, config->momentum_arc_cycles, config->joint_row_cycles };
-    for (uint32_t k = 0; k < 6u; k++) {
-        fold = zygos_folded(fold, lengths[k]);
-    }
+    uint32_t fold = mixed(mixed(mixed(counts, config->effects), config->reductions), config->reduced);
+    fold = mixed(mixed(mixed(fold, self->column_map.reduced), config->momentum_arc_cycles), config->joint_row_cycles);
     if (config->momentum_arc_cycles > 0) {
-        fold = zygos_folded(fold, self->momentum_sums.columns);
-        fold = zygos_folded(fold, self->momentum_sums.components);
-        fold = zygos_folded(fold, self->momentum_sums.signals);
+        const zygos_momentum_sums_t *sums = &self->momentum_sums;
+        fold = mixed(mixed(mixed(fold, sums->columns), sums->components), sums->signals);
     }
     if (config->joint_row_cycles > 0) {
-        const uint32_t rows[6] = { config->base,           config->kinetic,
-                                   self->joint_sums.width, self->joint_sums.increments,
-                                   self->joint_sums.slice, self->joint_sums.share };
-        for (uint32_t k = 0; k < 6u; k++) {
-            fold = zygos_folded(fold, rows[k]);
-        }
+        const zygos_joint_sums_t *sums = &self->joint_sums;
+        fold = mixed(mixed(mixed(fold, config->base), config->kinetic), sums->width);
+        fold = mixed(mixed(mixed(fold, sums->increments), sums->slice), sums->share);
     }
     for (uint32_t e = 0; e < least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
-        fold = zygos_checksum_number(fold, config->effect[e].kind);
-        fold = zygos_folded(fold, config->effect[e].joint);
+        fold = mixed(mixed(fold, config->effect[e].kind), config->effect[e].joint);
         for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-            fold = zygos_folded(fold, self->motor_sums.column_map.effect[i][e]);
+            fold = mixed(fold, self->motor_sums.column_map.effect[i][e]);
         }
     }
     for (uint32_t k = 0; k < least(config->reductions, (uint32_t)ZYGOS_MAX_REDUCTION); k++) {
-        const uint64_t column = config->reduction[k].column;
-        fold = zygos_checksum_number(fold, (column << 32u) | config->reduction[k].parameter);
+        fold = mixed(mixed(fold, config->reduction[k].column), config->reduction[k].parameter);
     }
     return fold;
 }
@@ -234,43 +231,15 @@ static inline uint32_t places_of(const zygos_arm_t *self)
         fold = zygos_folded_count(fold, self->motor_sums.column_map.count[i]);
     }
     if (further != 0) {
-        const uint64_t all = zygos_fold_end(further_places_of(self, fold));
-        fold = (uint32_t)(all >> 32u); /* which each bit of the fold changes */
+        fold = further_places_of(self, fold);
     }
     return zygos_fold_of_counts_end(fold);
 }
 
-/* Exchanges the halves, which costs a core of 32 bits nothing. */
-static inline uint64_t exchanged(uint64_t number)
-{
-    return (number << 32u) | (number >> 32u);
-}
-
-static inline uint64_t word_at(const unsigned char *from)
-{
-    uint64_t word;
-    __builtin_memcpy(&word, from, sizeof word);
-    return word;
-}
-
-/* Continues a fold with whole words of eight bytes of a struct, two of them at a time. The factor is odd, so that a
-   flipped bit always changes the product; the top bit, which a product keeps to itself, becomes one in the middle. That
-   is cheaper than a turn for each word, which takes a core of 32 bits four instructions. Inline, because the number of
-   words is known where it is called. */
-__attribute__((always_inline)) static inline uint64_t folded(uint64_t fold, const void *whole, size_t first,
-                                                             size_t bytes)
-{
-    const unsigned char *from = (const unsigned char *)__builtin_assume_aligned(whole, 8) + first;
-    const unsigned char *const pairs = from + (bytes & ~(size_t)15u);
-    for (; from != pairs; from += 16) {
-        fold = exchanged((fold ^ word_at(from) ^ exchanged(word_at(from + 8))) * 0x9E3779B1u);
-    }
-    return ((bytes & 8u) == 0) ? fold : exchanged((fold ^ word_at(from)) * 0x9E3779B1u);
-}
-
 /* From the first to the last of these members of a struct, with what lies between. */
 #define FOLDED(fold, whole, type, first, last)                                                                         \
-    folded(fold, whole, offsetof(type, first), offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first))
+    zygos_fold_words(fold, (const unsigned char *)(whole) + offsetof(type, first),                                     \
+                     offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first))
 
 /* Of the places, counts and integrals that one cycle leaves to the next. A bit that flips there would spoil the rest of
    an arc. */
@@ -295,6 +264,9 @@ static uint64_t moving_of(const zygos_arm_t *self)
     if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
         fold = FOLDED(fold, &self->momentum, zygos_momentum_t, attitude, past);
     }
+    if (config->joint_row_cycles > 0) {
+        fold = FOLDED(fold, &self->joint, zygos_joint_t, position, reserved);
+    }
     if (config->effects > 0) {
         fold = FOLDED(fold, &balance->effects, zygos_effects_t, total, past);
         fold = FOLDED(fold, impulse, zygos_impulse_t, total, before);
@@ -303,8 +275,8 @@ static uint64_t moving_of(const zygos_arm_t *self)
         fold = FOLDED(fold, self, zygos_arm_t, forgetting, joints_forgetting);
     }
     if (self->ending != 0) {
-        fold = folded(fold, self->ended, 0, sizeof self->ended);
-        fold = folded(fold, self->ended_forgetting, 0, sizeof self->ended_forgetting);
+        fold = zygos_fold_words(fold, self->ended, sizeof self->ended);
+        fold = zygos_fold_words(fold, self->ended_forgetting, sizeof self->ended_forgetting);
     }
     return zygos_fold_end(fold);
 }
@@ -416,10 +388,9 @@ int zygos_arm_frame(zygos_arm_t *self, const zygos_frame_t *frame)
     return zygos_receiver_frame(&self->receiver, &self->config, frame);
 }
 
-/* Whether the sums of closed arcs are multiplied by a product of factors; not by one that cannot be. */
 static bool fades(const zygos_arm_t *self, double product)
 {
-    return (self->config.forgetting_factor < 1.0) && (product >= 0.0) && (product < 1.0);
+    return zygos_kept_share(&self->config, product) < 1.0;
 }
 
 /* Sums of closed arcs fade when an arc ends. Who is of use has waited until nothing is being done to them; where an arc
@@ -767,9 +738,11 @@ static bool add_joints(zygos_arm_t *self)
     if (zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted, self->joint.turn < config->joints)) {
         zygos_guard_end_joints(&self->guard, config, &self->joint_sums, self->cycle, &self->joints_forgetting);
     }
-    if (zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
-                        zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
-                        &self->joint_row) == 0) {
+    const int formed = zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state,
+                                       &self->motion, zygos_balance_torque_before(&self->balance),
+                                       zygos_balance_torque_after(&self->balance, config), &self->joint_row);
+    if (formed <= 0) {
+        self->joint_sums.quarantined += (formed < 0) ? 1u : 0u;
         return false;
     }
     zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row);
@@ -872,18 +845,6 @@ static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
     add_energy(self, add_momentum(self, add_impulses(self, busy)));
 }
 
-/* Not memcmp(): compilers make a call of bcmp() of it. A configuration has no padding. */
-static bool is_same(const zygos_config_t *a, const zygos_config_t *b)
-{
-    const unsigned char *const left = (const unsigned char *)a;
-    const unsigned char *const right = (const unsigned char *)b;
-    bool same = true;
-    for (size_t i = 0; i < sizeof *a; i++) {
-        same = same && (left[i] == right[i]);
-    }
-    return same;
-}
-
 /* Whether what is used as a place, a count or a length can be. What follows from the configuration is computed anew. */
 static bool is_intact(const zygos_arm_t *self)
 {
@@ -913,7 +874,7 @@ int zygos_arm_resume(zygos_arm_t *self, const zygos_config_t *config)
     if (verdict < 0) {
         return verdict;
     }
-    if (!is_same(&self->config, config)) {
+    if (!zygos_is_same(&self->config, config, (uint32_t)sizeof *config)) {
         return ZYGOS_E_CONFIG;
     }
     if (!is_intact(self)) {
@@ -1083,7 +1044,7 @@ int zygos_arm_check(const zygos_arm_t *self, const zygos_config_t *config, zygos
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    if (!is_same(&self->config, config)) {
+    if (!zygos_is_same(&self->config, config, (uint32_t)sizeof *config)) {
         return ZYGOS_E_CONFIG;
     }
     if (!is_intact(self)) {
@@ -1201,7 +1162,7 @@ int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
     }
     uint32_t found = (off != 0) ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
     const uint64_t checksum = zygos_checksum_memory(0, &self->config, sizeof self->config);
-    if (!is_same(&self->config, config)) {
+    if (!zygos_is_same(&self->config, config, (uint32_t)sizeof *config)) {
         if ((self->config_checksum == checksum) ||
             (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config))) {
             return ZYGOS_E_CONFIG;

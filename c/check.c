@@ -18,8 +18,7 @@ static bool ends(const zygos_work_t *work, uint32_t kind)
 /* By how much the sums of closed arcs fade before such an arc is added. */
 static double factor_of(const zygos_work_t *work, uint32_t kind)
 {
-    const double product = work->ended_forgetting[kind];
-    return ((work->config.forgetting_factor < 1.0) && (product >= 0.0) && (product < 1.0)) ? product : 1.0;
+    return zygos_kept_share(&work->config, work->ended_forgetting[kind]);
 }
 
 /* Ends the arcs that wait for their end. Needs that no task is open. */

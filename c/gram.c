@@ -167,16 +167,23 @@ uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t b
     return checksum;
 }
 
+bool zygos_is_same(const void *a, const void *b, uint32_t bytes)
+{
+    const unsigned char *left = (const unsigned char *)__builtin_assume_aligned(a, 8);
+    const unsigned char *right = (const unsigned char *)__builtin_assume_aligned(b, 8);
+    uint64_t off = 0;
+    for (const unsigned char *const end = left + (bytes & ~7u); left != end; left += 8, right += 8) {
+        uint64_t word[2];
+        __builtin_memcpy(&word[0], left, sizeof word[0]);
+        __builtin_memcpy(&word[1], right, sizeof word[1]);
+        off |= word[0] ^ word[1];
+    }
+    return off == 0;
+}
+
 uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes)
 {
-    const unsigned char *from = (const unsigned char *)memory;
-    fold = continued(fold, bytes);
-    for (uint32_t i = 0; i + 8u <= bytes; i += 8u) {
-        uint64_t word;
-        __builtin_memcpy(&word, from + i, sizeof word);
-        fold = zygos_folded(fold, word);
-    }
-    return fold;
+    return zygos_fold_words(fold, memory, bytes);
 }
 
 bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum)

@@ -1,5 +1,8 @@
 #include "zygos/priv/joint.h"
 
+#include "zygos/priv/gram.h"
+
+#include <stddef.h>
 #include <string.h>
 
 #define HALVES 3u
@@ -42,7 +45,33 @@ bool zygos_joint_intact(const zygos_joint_t *self, const zygos_config_t *config)
         return true;
     }
     return (self->position < config->joint_row_cycles / 2u) && (self->halves <= 3u) && (self->oldest < HALVES) &&
-           (self->newest < 2u) && (self->turn <= config->joints);
+           (self->begin < 2u) && (self->turn <= config->joints);
+}
+
+/* What one cycle leaves to the next is stored twice. */
+
+static uint32_t columns_of(const zygos_config_t *config, const zygos_column_map_t *column_map)
+{
+    return column_map->body + config->joints;
+}
+
+/* The columns come last in both. */
+static uint32_t bytes_of_integrals(uint32_t columns)
+{
+    return (uint32_t)(offsetof(zygos_joint_integrals_t, force) + columns * sizeof(double));
+}
+
+static uint32_t bytes_of_end(uint32_t columns)
+{
+    return (uint32_t)(offsetof(zygos_joint_end_t, momentum) + columns * sizeof(double));
+}
+
+/* Whether the newest end is as it was left, but for the columns of the bodies, which no row needs. */
+static bool is_newest_whole(const zygos_joint_newest_t *newest)
+{
+    const uint32_t used = (uint32_t)(sizeof newest->motion - offsetof(zygos_motion_t, carrier_rate));
+    return zygos_is_same(&newest[0], &newest[1], (uint32_t)offsetof(zygos_joint_newest_t, motion)) &&
+           zygos_is_same(newest[0].motion.carrier_rate, newest[1].motion.carrier_rate, used);
 }
 
 /* The derivative of n_i theta'_i a_i . w_(i-1) by the angle of joint j < i. */
@@ -94,15 +123,15 @@ static double effect_integrand(const zygos_config_t *config, uint32_t e, const z
 }
 
 /* What belongs to the ends of an increment alone. */
-static double effect_at_end(const zygos_joint_t *self, const zygos_config_t *config, uint32_t e)
+static double effect_at_end(const zygos_joint_newest_t *newest, const zygos_config_t *config, uint32_t e)
 {
     const uint32_t i = config->effect[e].joint;
     const double rigid = (config->joint[i].rigid != 0) ? config->joint[i].gear_ratio : 0.0;
     switch ((enum zygos_effect_kind)config->effect[e].kind) {
     case ZYGOS_MOTOR_VISCOUS:
-        return rigid * self->state.theta[i];
+        return rigid * newest->state.theta[i];
     case ZYGOS_TORQUE_LAG:
-        return rigid * self->torque_mean[i];
+        return rigid * newest->torque_mean[i];
     case ZYGOS_MOTOR_COULOMB:
     case ZYGOS_LINK_COULOMB:
     case ZYGOS_CUBIC_STIFFNESS:
@@ -115,19 +144,22 @@ static double effect_at_end(const zygos_joint_t *self, const zygos_config_t *con
     return 0.0;
 }
 
-static void add_scaled(double *restrict to, const double *restrict from, double factor, uint32_t count)
+static void add_scaled(double *restrict to, double *restrict twin, const double *restrict from, double factor,
+                       uint32_t count)
 {
     for (uint32_t k = 0; k < count; k++) {
-        to[k] += factor * from[k];
+        const double scaled = factor * from[k];
+        to[k] += scaled;
+        twin[k] += scaled;
     }
 }
 
-/* Adds the integrands of this instant to the half with the first weight, and to the next with the second. */
-static void integrate(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+/* Adds the integrands of this instant to the half with the first weight, and with two sides to the next with the
+   second. */
+static void integrate(const zygos_config_t *config, const zygos_column_map_t *column_map,
                       const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
-                      zygos_joint_integrals_t *const half[2], const double *weight)
+                      zygos_joint_integrals_t (*const half[2])[2], const double *weight, uint32_t sides)
 {
-    const uint32_t sides = (self->position + 3u > config->joint_row_cycles / 2u) ? 2u : 1u;
     for (uint32_t j = 0; j < config->joints; j++) {
         double force[ZYGOS_MAX_BODY + ZYGOS_MAX_JOINTS];
         zygos_kinematics_slopes(geometry, config, motion, j, force, NULL);
@@ -137,88 +169,103 @@ static void integrate(zygos_joint_t *self, const zygos_config_t *config, const z
         for (uint32_t i = 0; i < config->joints; i++) {
             force[column_map->body + i] = (i > j) ? rotor_force(config, state, motion, j, i) : 0.0;
         }
+        const double deflection = state->theta[j] - state->q[j];
         for (uint32_t s = 0; s < sides; s++) {
-            add_scaled(half[s]->force[j], force, weight[s], column_map->body + config->joints);
-            half[s]->deflection[j] += weight[s] * (state->theta[j] - state->q[j]);
+            zygos_joint_integrals_t *to = half[s][j];
+            add_scaled(to[0].force, to[1].force, force, weight[s], columns_of(config, column_map));
+            add_scaled(&to[0].deflection, &to[1].deflection, &deflection, weight[s], 1u);
         }
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         const double integrand = effect_integrand(config, e, state);
         for (uint32_t s = 0; s < sides; s++) {
-            half[s]->effect[e] += weight[s] * integrand;
+            zygos_joint_integrals_t *to = half[s][config->effect[e].joint];
+            add_scaled(&to[0].effect[e], &to[1].effect[e], &integrand, weight[s], 1u);
         }
     }
 }
 
 /* p_j of the motion at the newest end. */
-static void momentum_of(const zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                        uint32_t j, double *out)
+static void momentum_of(const zygos_joint_newest_t *newest, const zygos_config_t *config,
+                        const zygos_column_map_t *column_map, uint32_t j, double *out)
 {
-    const zygos_motion_t *motion = &self->motion;
+    const zygos_motion_t *motion = &newest->motion;
     double moved[ZYGOS_MAX_DIRECTIONS][3];
     zygos_kinematics_swing(config, motion, motion->axis[j], j + 1u, moved);
-    memset(out, 0, (column_map->body + config->joints) * sizeof out[0]);
+    memset(out, 0, columns_of(config, column_map) * sizeof out[0]);
     (void)zygos_kinetic_products(config, motion->rate, (const double(*)[3])moved, out);
     (void)zygos_kinetic_products(config, (const double(*)[3])moved, motion->rate, out);
     for (uint32_t i = j; i < config->joints; i++) {
-        const double spin = config->joint[i].gear_ratio * self->state.theta_rate[i];
+        const double spin = config->joint[i].gear_ratio * newest->state.theta_rate[i];
         const double own = config->joint[i].gear_ratio * (spin + motion->carrier_rate[i]);
         const double rigid = (config->joint[j].rigid != 0) ? 1.0 : 0.0;
         out[column_map->body + i] = (i > j) ? spin * along(config, motion, j, i) : rigid * own;
     }
 }
 
-/* Forms the row of a joint; its end and its integrals make room for the next. */
-static void form_row(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+/* The newest end, of joint j. */
+static void end_of(const zygos_joint_newest_t *newest, const zygos_config_t *config,
+                   const zygos_column_map_t *column_map, uint32_t j, zygos_joint_end_t *out)
+{
+    const bool rigid = (config->joint[j].rigid != 0);
+    momentum_of(newest, config, column_map, j, out->momentum);
+    out->deflection = newest->state.theta[j] - newest->state.q[j];
+    out->impulse = rigid ? config->joint[j].gear_ratio * zygos_effects_jump(config) * newest->jump[j] : 0.0;
+    for (uint32_t e = 0; e < config->effects; e++) {
+        out->effect[e] = (config->effect[e].joint == j) ? effect_at_end(newest, config, e) : 0.0;
+    }
+}
+
+/* Forms the row of a joint; its end and its integrals make room for the next. Returns whether memory was as it had been
+   left. */
+static bool form_row(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                      uint32_t j, zygos_joint_row_t *out)
 {
     const double h = config->period_s / INNER;
-    const double h12 = zygos_effects_jump(config);
     const uint32_t body = column_map->body;
-    zygos_joint_integrals_t *older = &self->half[self->oldest];
-    const zygos_joint_integrals_t *newer = &self->half[after(self->oldest)];
-    zygos_joint_end_t *begin = &self->ends[self->newest][j];
+    zygos_joint_integrals_t *older = self->half[self->oldest][j];
+    const zygos_joint_integrals_t *newer = self->half[after(self->oldest)][j];
+    zygos_joint_end_t *begin = self->ends[self->begin][j];
+    const uint32_t columns = columns_of(config, column_map);
+    const uint32_t bytes = bytes_of_integrals(columns);
+    const bool whole = zygos_is_same(&older[0], &older[1], bytes) && zygos_is_same(&newer[0], &newer[1], bytes) &&
+                       zygos_is_same(&begin[0], &begin[1], bytes_of_end(columns)) && is_newest_whole(self->newest);
     zygos_joint_end_t end = { 0 }; /* copied whole below: unused entries are no remains of the stack */
     const bool rigid = (config->joint[j].rigid != 0);
-    momentum_of(self, config, column_map, j, end.momentum);
-    end.deflection = self->state.theta[j] - self->state.q[j];
-    end.impulse = rigid ? config->joint[j].gear_ratio * h12 * self->jump[j] : 0.0;
+    end_of(self->newest, config, column_map, j, &end);
     memset(out->column, 0, column_map->count * sizeof out->column[0]);
     for (uint32_t k = 0; k < body; k++) {
-        out->column[k] = end.momentum[k] - begin->momentum[k] - h * (older->force[j][k] + newer->force[j][k]);
+        out->column[k] = end.momentum[k] - begin->momentum[k] - h * (older->force[k] + newer->force[k]);
     }
     for (uint32_t i = 0; i < config->joints; i++) {
         if (column_map->rotor[i]) {
             const uint32_t k = body + i;
             out->column[column_map->joint[i]] =
-                end.momentum[k] - begin->momentum[k] - h * (older->force[j][k] + newer->force[j][k]);
+                end.momentum[k] - begin->momentum[k] - h * (older->force[k] + newer->force[k]);
         }
     }
     if (!rigid) {
         double *spring = &out->column[column_map->joint[j] + column_map->rotor[j]];
-        spring[0] = -h * (older->deflection[j] + newer->deflection[j]);
+        spring[0] = -h * (older->deflection + newer->deflection);
         spring[1] = begin->deflection - end.deflection;
     }
     const double impulse = rigid ? config->joint[j].gear_ratio * config->period_s : 0.0;
-    out->impulse = impulse * (older->impulse[j] + newer->impulse[j]) + end.impulse - begin->impulse;
-    for (uint32_t e = 0; e < (uint32_t)ZYGOS_EFFECT_PLACES; e++) {
-        end.effect[e] = 0.0;
-        if ((e < config->effects) && (config->effect[e].joint == j)) {
-            end.effect[e] = effect_at_end(self, config, e);
+    out->impulse = impulse * (older->impulse + newer->impulse) + end.impulse - begin->impulse;
+    for (uint32_t e = 0; e < config->effects; e++) {
+        if (config->effect[e].joint == j) {
             const double gain = (config->effect[e].kind == ZYGOS_TORQUE_GAIN) ? out->impulse : 0.0;
             out->column[column_map->effects + e] =
                 end.effect[e] - begin->effect[e] + h * (older->effect[e] + newer->effect[e]) - gain;
-            older->effect[e] = 0.0;
         }
     }
-    out->accepted = (older->refused[j] + newer->refused[j] > 0.0) ? 0.0 : 1.0;
+    out->accepted = (older->refused + newer->refused > 0.0) ? 0.0 : 1.0;
     out->joint = j;
     out->last = (j + 1u == config->joints) ? 1u : 0u;
-    *begin = end;
-    memset(older->force[j], 0, (body + config->joints) * sizeof older->force[j][0]);
-    older->impulse[j] = 0.0;
-    older->deflection[j] = 0.0;
-    older->refused[j] = 0.0;
+    for (uint32_t twin = 0; twin < 2u; twin++) {
+        begin[twin] = end;
+        memset(&older[twin], 0, bytes);
+    }
+    return whole;
 }
 
 int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
@@ -228,32 +275,43 @@ int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zyg
     const uint32_t cycles = config->joint_row_cycles / 2u;
     const uint32_t n = config->joints;
     bool formed = false;
+    bool whole = true;
     /* The row first: its older half becomes the one after that which is being filled. */
     if (self->turn < n) {
-        form_row(self, config, column_map, self->turn, out);
+        whole = form_row(self, config, column_map, self->turn, out);
         self->turn++;
         formed = (self->halves == 3u);
-        self->newest ^= (self->turn == n) ? 1u : 0u;
+        self->begin ^= (self->turn == n) ? 1u : 0u;
     }
-    zygos_joint_integrals_t *const half[2] = { &self->half[after(after(self->oldest))], &self->half[self->oldest] };
+    if (!whole) {
+        zygos_joint_reset(self, config);
+        return -1;
+    }
+    zygos_joint_integrals_t(*const half[2])[2] = { self->half[after(after(self->oldest))], self->half[self->oldest] };
     self->position++;
     const uint32_t left = cycles - self->position;
     const double weight[2] = { (left < 3u) ? ending[2u - left] : INNER, (left < 3u) ? beginning[2u - left] : 0.0 };
-    integrate(self, config, column_map, geometry, state, motion, half, weight);
+    integrate(config, column_map, geometry, state, motion, half, weight, (left < 3u) ? 2u : 1u);
+    const double refused = 1.0 - state->accepted;
     for (uint32_t j = 0; j < n; j++) {
-        half[0]->impulse[j] += tau_before[j];
-        half[0]->refused[j] += 1.0 - state->accepted;
+        for (uint32_t twin = 0; twin < 2u; twin++) {
+            half[0][j][twin].impulse += tau_before[j];
+            half[0][j][twin].refused += refused;
+            half[1][j][twin].refused += (left == 0) ? refused : 0.0; /* it is the first of the next half as well */
+        }
     }
     if (left > 0) {
         return formed ? 1 : 0;
     }
-    for (uint32_t j = 0; j < n; j++) {
-        half[1]->refused[j] += 1.0 - state->accepted; /* it is the first of the next half as well */
-        self->jump[j] = tau[j] - tau_before[j];
-        self->torque_mean[j] = 0.5 * (tau[j] + tau_before[j]);
+    for (uint32_t twin = 0; twin < 2u; twin++) {
+        zygos_joint_newest_t *newest = &self->newest[twin];
+        for (uint32_t j = 0; j < n; j++) {
+            newest->jump[j] = tau[j] - tau_before[j];
+            newest->torque_mean[j] = 0.5 * (tau[j] + tau_before[j]);
+        }
+        newest->state = *state;
+        newest->motion = *motion;
     }
-    self->state = *state;
-    self->motion = *motion;
     self->position = 0;
     self->oldest = after(self->oldest);
     self->halves += (self->halves < 3u) ? 1u : 0u;
@@ -274,7 +332,7 @@ void zygos_joint_derivative(const zygos_joint_t *self, const zygos_config_t *con
     const uint32_t n = config->joints;
     const bool of_link = (signal < n);
     const bool rigid = (config->joint[joint].rigid != 0);
-    const zygos_motion_t *motion = &self->motion;
+    const zygos_motion_t *motion = &self->newest[0].motion;
     double moved[ZYGOS_MAX_DIRECTIONS][3];
     double swung[ZYGOS_MAX_DIRECTIONS][3];
     double axis[3] = { 0.0, 0.0, 0.0 };

@@ -378,6 +378,7 @@ static void end_segment(zygos_joint_sums_t *self, const zygos_config_t *config, 
                         uint64_t cycle, double *forgetting)
 {
     const zygos_joint_segment_t *segment = &self->segment[self->filling];
+    const double share = zygos_kept_share(config, *forgetting);
     judge(self);
     self->target = target;
     self->segments += is_admitted(self) ? 1u : 0u;
@@ -388,14 +389,14 @@ static void end_segment(zygos_joint_sums_t *self, const zygos_config_t *config, 
     self->apart_count = 0;
     self->end = cycle;
     for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
-        self->group[g].fade *= *forgetting;
+        self->group[g].fade *= share;
     }
     zygos_joint_group_t *group = &self->group[target];
-    self->keep = *forgetting;
+    self->keep = share;
     self->keep_group = anew ? 0.0 : group->fade;
     group->fade = 1.0;
     group->count *= self->keep_group;
-    self->apart_sums *= *forgetting;
+    self->apart_sums *= share;
     for (uint32_t j = 0; j < config->joints; j++) {
         group->count += segment->count[j];
         self->apart_sums += (is_admitted(self) && (segment->count[j] > 0.0)) ? 1.0 : 0.0;

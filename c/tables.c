@@ -75,20 +75,6 @@ uint64_t zygos_tables_checksum(const zygos_arm_t *arm)
     return sum;
 }
 
-/* Not memcmp(), which may leave out the bytes behind a difference, and costs the less the earlier that is. */
-static bool is_equal(const unsigned char *a, const unsigned char *b, uint32_t bytes)
-{
-    uint64_t off = 0;
-    for (uint32_t i = 0; i + WORD <= bytes; i += WORD) {
-        uint64_t left;
-        uint64_t right;
-        __builtin_memcpy(&left, a + i, sizeof left);
-        __builtin_memcpy(&right, b + i, sizeof right);
-        off |= left ^ right;
-    }
-    return off == 0;
-}
-
 static bool end_pass(zygos_patrol_t *self, zygos_arm_t *arm)
 {
     const bool good = (self->sum == arm->tables_checksum);
@@ -110,7 +96,7 @@ bool zygos_patrol_part(zygos_patrol_t *self, zygos_arm_t *arm, const zygos_confi
     bool good = true;
     if (self->region == 0) {
         self->begun = (from == 0) ? arm->cycle : self->begun;
-        good = is_equal((const unsigned char *)&arm->config + from, (const unsigned char *)config + from, part);
+        good = zygos_is_same((const unsigned char *)&arm->config + from, (const unsigned char *)config + from, part);
         self->sum = counts_checksum(arm);
     } else {
         self->sum = zygos_checksum_memory(self->sum, (const unsigned char *)table.memory + from, part);

@@ -247,7 +247,7 @@ def test_what_two_flipped_bits_change_is_not_used(seed: int, name: str) -> None:
         first = int(rng.integers(len(listed) - 8))
         for place in (listed[first], listed[first + int(rng.integers(1, 8))]):  # of one struct, mostly
             place.flip(flight.native, place.bits(rng, 2)[1])
-        if k % 2 and name != "ground":  # integrals of joint rows are not under any check
+        if k % 2:
             begin.fly(flight, own)
         estimate = flight.estimate()
         refused += estimate.validity == "refused"
@@ -292,6 +292,34 @@ def test_much_of_what_changes_from_cycle_to_cycle_is_under_a_check() -> None:
                 stopped += 1
                 assert scrubbed(flight, begin.own, place) & PLACES
     assert stopped >= 0.25 * of_all > 5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_flipped_bit_of_what_joint_rows_leave_to_the_next_cycle_reaches_the_sums(seed: int) -> None:
+    """It is counted, or the sums are bit by bit what they are without it."""
+    begin, rng, told_of = start("ground"), np.random.default_rng(seed), 0
+    flight, own = copy_of(begin.flight), begin.own
+    used = np.frombuffer(ffi.buffer(ffi.addressof(begin.flight.native, "joint")), dtype=np.uint64).nonzero()[0]
+
+    def flown_on(bit: int | None) -> tuple[bytes, int]:
+        ffi.memmove(flight.native, begin.flight.native, SIZE)
+        if bit is not None:
+            memory = ffi.buffer(ffi.addressof(flight.native, "joint"))
+            memory[bit // 8] = bytes([memory[bit // 8][0] ^ (1 << bit % 8)])
+        found = 0
+        for k in range(FURTHER):
+            if begin.feed(flight, k, k + 1) < 0:
+                found += lib.zygos_arm_scrub(flight.native, own) > 0
+        counted = lib.zygos_arm_count_quarantined(flight.native)
+        return bytes(ffi.buffer(ffi.addressof(flight.native, "joint_sums"))), found + counted
+
+    expected, none = flown_on(None)
+    assert none == 0
+    for word in rng.choice(used, 30):
+        sums, counted = flown_on(64 * int(word) + int(rng.integers(64)))
+        assert counted or sums == expected, f"word {word}"
+        told_of += bool(counted)
+    assert told_of > 10
 
 
 def test_sums_that_do_not_match_are_left_out_and_no_others() -> None:

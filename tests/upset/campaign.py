@@ -15,7 +15,7 @@ from state_support import Leaf, leaves
 
 from bench.configurations import Configuration, build_of, write_run
 from conftest import ROOT, house_flags
-from zygos.arm import load_arm
+from zygos.arm import JOINT_ROW_S, load_arm
 from zygos.model.model import load_model
 from zygos.simulation.scenario import load_scenario
 
@@ -44,6 +44,7 @@ class Campaign:
     kind: int = 0
     memory_s: float | None = None
     """Where sums of closed arcs fade."""
+    joint_rows: bool = False
 
     @property
     def structs(self) -> list[str]:
@@ -60,7 +61,7 @@ CAMPAIGNS = {
     "refined": Campaign("2 joints in a plane, refined", "paper", PLANAR, 140.0, 1500, REFINED),
     "fading": Campaign("2 joints in a plane, fading", "paper", PLANAR, 140.0, 1500, memory_s=30.0),
     "pairs": Campaign("2 joints in a plane, pairs of bits", "paper", PLANAR, 140.0, 1500, PAIRS),
-    "spatial": Campaign("3 joints in space", "spatial", ("-DZYGOS_MAX_JOINTS=3",), 30.0, 12000),
+    "spatial": Campaign("3 joints in space", "spatial", ("-DZYGOS_MAX_JOINTS=3",), 30.0, 12000, joint_rows=True),
 }
 
 
@@ -69,6 +70,7 @@ def write(one: Campaign, folder: Path) -> int:
     place = ROOT / "examples" / one.example
     arm, model = load_arm(place / "arm.toml"), load_model(place / "model.toml")
     arm = replace(arm, arc_max_s=ARC_CYCLES * arm.period_s, memory_s=one.memory_s)
+    arm = replace(arm, joint_increment_s=JOINT_ROW_S) if one.joint_rows else arm
     cycles = trajectory_of(arm, model, load_scenario(place / "scenario.toml"), duration_s=one.duration_s).cycles()
     write_run(Configuration(one.example, arm, one.capacities), cycles, folder / "run.bin")
     return len(cycles)

@@ -91,7 +91,7 @@ typedef struct {
 /// Digest of the offsets and types in the structs that library and caller exchange, at the default capacities on a
 /// processor of 64 bits. It changes when a field is moved or given another type, and not when it is renamed. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xBDC2F231u
+#define ZYGOS_LAYOUT 0x5F9E75F0u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -218,8 +218,8 @@ enum zygos_scrubbed {
 /// changed is left as it is, except for the member scrubbed, and an arc that waits for its end is ended. Returns 0 when
 /// nothing was found; bits of enum zygos_scrubbed; ZYGOS_E_NULL; ZYGOS_E_ORDER when zygos_arm_init() has not succeeded
 /// on *self; or ZYGOS_E_CONFIG, with *self unchanged, when *config is not the configuration that *self was initialised
-/// with. Not checked are readings that wait, which zygos_arm_step() checks, smoothed signals and the integrals of joint
-/// rows, which last for a window or an increment, and counters of faults. Cost: one pass over *self for checksums and
+/// with. Not checked are readings that wait and integrals of joint rows, which are checked when they are used, smoothed
+/// signals, which last for a window, and counters of faults. Cost: one pass over *self for checksums and
 /// row sums, less than zygos_arm_check(); where something has to be repaired, also that of zygos_arm_restart().
 int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config);
 

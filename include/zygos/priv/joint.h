@@ -53,37 +53,43 @@ extern "C" {
 /// The least length of an increment in cycles: the rule of the integrals needs four steps in a half.
 #define ZYGOS_MIN_INCREMENT 8u
 
-/// The integrals over one half of an increment, of all joints.
+/// The integrals over one half of an increment, of one joint.
 typedef struct {
-    double force[ZYGOS_JOINT_PLACES][ZYGOS_MAX_FORCE]; ///< Of dT/dq_j - dV/dq_j: the bodies' columns, then the rotors'.
-    double impulse[ZYGOS_JOINT_PLACES];                ///< n_j tau_j [Nms].
-    double deflection[ZYGOS_JOINT_PLACES];             ///< d [rad s].
-    double effect[ZYGOS_EFFECT_PLACES];                ///< What each effect integrates.
-    double refused[ZYGOS_JOINT_PLACES];                ///< Number of refused instants, the same for each joint.
+    double impulse;                     ///< n_j tau_j [Nms].
+    double deflection;                  ///< d [rad s].
+    double refused;                     ///< Number of refused instants, the same for each joint.
+    double effect[ZYGOS_EFFECT_PLACES]; ///< What each effect of the joint integrates.
+    double force[ZYGOS_MAX_FORCE];      ///< Of dT/dq_j - dV/dq_j: the bodies' columns, then the rotors'.
 } zygos_joint_integrals_t;
 
 /// What the ends of an increment contribute, of one joint.
 typedef struct {
-    double momentum[ZYGOS_MAX_FORCE]; ///< p_j: the bodies' columns, then the rotors'.
-    double deflection;                ///< d [rad].
-    double impulse;                   ///< What the jump of the torque adds to the right side [Nms].
+    double impulse;    ///< What the jump of the torque adds to the right side [Nms].
+    double deflection; ///< d [rad].
     double effect[ZYGOS_EFFECT_PLACES];
+    double momentum[ZYGOS_MAX_FORCE]; ///< p_j: the bodies' columns, then the rotors'.
 } zygos_joint_end_t;
+
+/// The newest end of an increment, of which the rows are formed one after the other.
+typedef struct {
+    double jump[ZYGOS_MAX_JOINTS];        ///< Step of each rotor's torque [Nm].
+    double torque_mean[ZYGOS_MAX_JOINTS]; ///< And its mean before and behind [Nm].
+    zygos_arm_state_t state;
+    zygos_motion_t motion;
+} zygos_joint_newest_t;
 
 /// The state of the rows.
 typedef struct {
     uint32_t position; ///< Instants since the newest half began.
     uint32_t halves;   ///< Halves that have ended since the gap, at most 3; the first one is not complete.
     uint32_t oldest;   ///< Index of the older of the two halves of the newest increment.
-    uint32_t newest;   ///< Index in ends[] of the older end, which the newest replaces.
+    uint32_t begin;    ///< Index in ends[] of the older end, which the newest replaces.
     uint32_t turn;     ///< The joint whose row comes next; N when all rows of the increment were formed.
     uint32_t reserved;
-    double jump[ZYGOS_MAX_JOINTS];        ///< At the newest end: step of each rotor's torque [Nm].
-    double torque_mean[ZYGOS_MAX_JOINTS]; ///< And its mean before and behind [Nm].
-    zygos_arm_state_t state;              ///< At the newest end.
-    zygos_motion_t motion;
-    zygos_joint_integrals_t half[3]; ///< Older, newer, and the one that is being filled, from oldest on.
-    zygos_joint_end_t ends[2][ZYGOS_JOINT_PLACES];
+    zygos_joint_newest_t newest[2];                         ///< Twice, as the others.
+    zygos_joint_integrals_t half[3][ZYGOS_JOINT_PLACES][2]; ///< Older, newer, and the one that is being filled, from
+                                                            ///< oldest on; each twice.
+    zygos_joint_end_t ends[2][ZYGOS_JOINT_PLACES][2];
 } zygos_joint_t;
 
 /// One row, not weighted.
@@ -102,9 +108,11 @@ void zygos_joint_reset(zygos_joint_t *self, const zygos_config_t *config);
 bool zygos_joint_intact(const zygos_joint_t *self, const zygos_config_t *config);
 
 /// Advances the integrals to this instant, and forms the row of a joint if one is due. tau_before[N] and tau[N] are the
-/// torques that act until the instant and from it on. Needs a configuration with joint rows. Returns 1 when there is a
-/// row, otherwise 0. Cost: the derivatives by N angles; in the cycles in which a row is formed also one momentum, and
-/// at the ends of a half one copy of the motion and up to twice the sums.
+/// torques that act until the instant and from it on. Needs a configuration with joint rows. What one cycle leaves to
+/// the next is sealed. Returns 1 when there is a row, 0 when there is none, and -1 where memory was changed: then all
+/// begins anew as after a gap. Cost: the derivatives by N angles, and two folds of the integrals; in the cycles in
+/// which a row is formed also one momentum and a comparison of the motion, and at the ends of a half one copy of the
+/// motion and up to twice the sums.
 int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                     const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                     const double *tau_before, const double *tau, zygos_joint_row_t *out);
