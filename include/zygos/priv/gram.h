@@ -7,10 +7,6 @@
 
 #include "../types.h"
 
-#ifndef ZYGOS_DECLARATIONS_ONLY
-#include <stddef.h>
-#endif
-
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -74,10 +70,11 @@ static inline double zygos_kept_share(const zygos_config_t *config, double produ
 /// itself, becomes one in the middle. That is cheaper than a turn for each word, which takes a core of 32 bits four
 /// instructions. Memory must have the alignment of a double. Inline, for where the number of words is known. Cost: five
 /// operations for two words.
-__attribute__((always_inline)) static inline uint64_t zygos_fold_words(uint64_t fold, const void *memory, size_t bytes)
+__attribute__((always_inline)) static inline uint64_t zygos_fold_words(uint64_t fold, const void *memory,
+                                                                       uint32_t bytes)
 {
     const unsigned char *from = (const unsigned char *)__builtin_assume_aligned(memory, 8);
-    const unsigned char *const pairs = from + (bytes & ~(size_t)15u);
+    const unsigned char *const pairs = from + (bytes & ~15u);
     uint64_t word[2];
     for (; from != pairs; from += 16) {
         __builtin_memcpy(word, from, sizeof word);
