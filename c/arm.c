@@ -251,10 +251,15 @@ static uint64_t moving_of(const zygos_arm_t *self)
     uint32_t counts = zygos_folded_count(self->arc, self->ending);
     counts = zygos_folded_count(zygos_folded_count(counts, self->smoother.position), self->smoother.filled);
     counts = zygos_folded_count(zygos_folded_count(counts, balance->instants), balance->origin);
-    counts = zygos_folded_count(zygos_folded_count(counts, balance->torque_at), impulse->instants);
-    counts = zygos_folded_count(zygos_folded_count(counts, impulse->origin), self->momentum.instants);
-    counts = zygos_folded_count(zygos_folded_count(counts, self->momentum.origin), self->motor_sums.cycles);
-    counts = zygos_folded_count(counts, self->momentum_sums.cycles);
+    counts = zygos_folded_count(counts, balance->torque_at);
+    if (config->impulse_arc_cycles > 0) {
+        counts = zygos_folded_count(zygos_folded_count(counts, impulse->instants), impulse->origin);
+        counts = zygos_folded_count(counts, self->motor_sums.cycles);
+    }
+    if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
+        counts = zygos_folded_count(zygos_folded_count(counts, self->momentum.instants), self->momentum.origin);
+        counts = zygos_folded_count(counts, self->momentum_sums.cycles);
+    }
     uint64_t fold = FOLDED(counts, balance, zygos_balance_t, work, dissipation_rate);
     fold = FOLDED(fold, &self->previous, zygos_previous_cycle_t, reported, theta);
     fold = FOLDED(fold, &self->accumulator, zygos_accumulator_t, length, segment);
@@ -814,18 +819,23 @@ static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
     double tau[ZYGOS_MAX_JOINTS];
     zygos_cycle_calibrate(&self->previous, &self->config, cycle, signal, tau);
     const bool apart = (zygos_cycle_apart(signal, self->config.joints) == 1);
-    self->wraps += wrapped ? 1u : 0u;
-    self->apart += apart ? 1u : 0u;
+    if (wrapped) {
+        self->wraps++;
+    }
+    if (apart) {
+        self->apart++;
+    }
     void_arcs(self, cycle);
     if (!follows || wrapped || (apart && (self->smoother.filled > 0))) {
         gap(self);
     }
     self->cycle = cycle->sync;
     self->cycles++;
-    self->forgetting *= self->config.forgetting_factor;
-    self->motors_forgetting *= self->config.forgetting_factor;
-    self->momentum_forgetting *= (ZYGOS_MOMENTUM != 0) ? self->config.forgetting_factor : 1.0;
-    self->joints_forgetting *= self->config.forgetting_factor;
+    const double factor = self->config.forgetting_factor;
+    self->forgetting *= factor;
+    self->motors_forgetting *= factor;
+    self->momentum_forgetting *= (ZYGOS_MOMENTUM != 0) ? factor : 1.0;
+    self->joints_forgetting *= factor;
     self->instant = 0;
     if (apart) {
         return;

@@ -173,10 +173,11 @@ bool zygos_is_same(const void *a, const void *b, uint32_t bytes)
     const unsigned char *right = (const unsigned char *)__builtin_assume_aligned(b, 8);
     uint64_t off = 0;
     for (const unsigned char *const end = left + (bytes & ~7u); left != end; left += 8, right += 8) {
-        uint64_t word[2];
-        __builtin_memcpy(&word[0], left, sizeof word[0]);
-        __builtin_memcpy(&word[1], right, sizeof word[1]);
-        off |= word[0] ^ word[1];
+        uint64_t l;
+        uint64_t r;
+        __builtin_memcpy(&l, left, 8);
+        __builtin_memcpy(&r, right, 8);
+        off |= l ^ r;
     }
     return off == 0;
 }

@@ -66,10 +66,10 @@ static uint32_t bytes_of_end(uint32_t columns)
     return (uint32_t)(offsetof(zygos_joint_end_t, momentum) + columns * sizeof(double));
 }
 
-/* Whether the newest end is as it was left, but for the columns of the bodies, which no row needs. */
+/* Whether what rows need of the newest end is as it was left. */
 static bool is_newest_whole(const zygos_joint_newest_t *newest)
 {
-    const uint32_t used = (uint32_t)(sizeof newest->motion - offsetof(zygos_motion_t, carrier_rate));
+    const uint32_t used = (uint32_t)(offsetof(zygos_motion_t, spin) - offsetof(zygos_motion_t, carrier_rate));
     return zygos_is_same(&newest[0], &newest[1], (uint32_t)offsetof(zygos_joint_newest_t, motion)) &&
            zygos_is_same(newest[0].motion.carrier_rate, newest[1].motion.carrier_rate, used);
 }
@@ -144,21 +144,36 @@ static double effect_at_end(const zygos_joint_newest_t *newest, const zygos_conf
     return 0.0;
 }
 
-static void add_scaled(double *restrict to, double *restrict twin, const double *restrict from, double factor,
+/* A half that integrands of an instant are added to. */
+typedef struct {
+    zygos_joint_integrals_t (*of_joint)[2];
+    double weight;
+    bool begins; /* Whether it is the first instant, so that what is there does not count. */
+} side_t;
+
+/* What is stored twice. */
+static void add_scaled(double *restrict to, double *restrict twin, const double *restrict from, const side_t *side,
                        uint32_t count)
 {
+    if (side->begins) {
+        for (uint32_t k = 0; k < count; k++) {
+            const double scaled = side->weight * from[k];
+            to[k] = scaled;
+            twin[k] = scaled;
+        }
+        return;
+    }
     for (uint32_t k = 0; k < count; k++) {
-        const double scaled = factor * from[k];
+        const double scaled = side->weight * from[k];
         to[k] += scaled;
         twin[k] += scaled;
     }
 }
 
-/* Adds the integrands of this instant to the half with the first weight, and with two sides to the next with the
-   second. */
+/* Adds the integrands of this instant to so many halves. */
 static void integrate(const zygos_config_t *config, const zygos_column_map_t *column_map,
                       const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
-                      zygos_joint_integrals_t (*const half[2])[2], const double *weight, uint32_t sides)
+                      const side_t *side, uint32_t sides)
 {
     for (uint32_t j = 0; j < config->joints; j++) {
         double force[ZYGOS_MAX_BODY + ZYGOS_MAX_JOINTS];
@@ -171,16 +186,16 @@ static void integrate(const zygos_config_t *config, const zygos_column_map_t *co
         }
         const double deflection = state->theta[j] - state->q[j];
         for (uint32_t s = 0; s < sides; s++) {
-            zygos_joint_integrals_t *to = half[s][j];
-            add_scaled(to[0].force, to[1].force, force, weight[s], columns_of(config, column_map));
-            add_scaled(&to[0].deflection, &to[1].deflection, &deflection, weight[s], 1u);
+            zygos_joint_integrals_t *to = side[s].of_joint[j];
+            add_scaled(to[0].force, to[1].force, force, &side[s], columns_of(config, column_map));
+            add_scaled(&to[0].deflection, &to[1].deflection, &deflection, &side[s], 1u);
         }
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         const double integrand = effect_integrand(config, e, state);
         for (uint32_t s = 0; s < sides; s++) {
-            zygos_joint_integrals_t *to = half[s][config->effect[e].joint];
-            add_scaled(&to[0].effect[e], &to[1].effect[e], &integrand, weight[s], 1u);
+            zygos_joint_integrals_t *to = side[s].of_joint[config->effect[e].joint];
+            add_scaled(&to[0].effect[e], &to[1].effect[e], &integrand, &side[s], 1u);
         }
     }
 }
@@ -223,14 +238,14 @@ static bool form_row(zygos_joint_t *self, const zygos_config_t *config, const zy
 {
     const double h = config->period_s / INNER;
     const uint32_t body = column_map->body;
-    zygos_joint_integrals_t *older = self->half[self->oldest][j];
+    const zygos_joint_integrals_t *older = self->half[self->oldest][j];
     const zygos_joint_integrals_t *newer = self->half[after(self->oldest)][j];
     zygos_joint_end_t *begin = self->ends[self->begin][j];
     const uint32_t columns = columns_of(config, column_map);
     const uint32_t bytes = bytes_of_integrals(columns);
     const bool whole = zygos_is_same(&older[0], &older[1], bytes) && zygos_is_same(&newer[0], &newer[1], bytes) &&
                        zygos_is_same(&begin[0], &begin[1], bytes_of_end(columns)) && is_newest_whole(self->newest);
-    zygos_joint_end_t end = { 0 }; /* copied whole below: unused entries are no remains of the stack */
+    zygos_joint_end_t end;
     const bool rigid = (config->joint[j].rigid != 0);
     end_of(self->newest, config, column_map, j, &end);
     memset(out->column, 0, column_map->count * sizeof out->column[0]);
@@ -261,10 +276,8 @@ static bool form_row(zygos_joint_t *self, const zygos_config_t *config, const zy
     out->accepted = (older->refused + newer->refused > 0.0) ? 0.0 : 1.0;
     out->joint = j;
     out->last = (j + 1u == config->joints) ? 1u : 0u;
-    for (uint32_t twin = 0; twin < 2u; twin++) {
-        begin[twin] = end;
-        memset(&older[twin], 0, bytes);
-    }
+    memcpy(&begin[0], &end, bytes_of_end(columns));
+    memcpy(&begin[1], &end, bytes_of_end(columns));
     return whole;
 }
 
@@ -287,17 +300,22 @@ int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zyg
         zygos_joint_reset(self, config);
         return -1;
     }
-    zygos_joint_integrals_t(*const half[2])[2] = { self->half[after(after(self->oldest))], self->half[self->oldest] };
     self->position++;
     const uint32_t left = cycles - self->position;
-    const double weight[2] = { (left < 3u) ? ending[2u - left] : INNER, (left < 3u) ? beginning[2u - left] : 0.0 };
-    integrate(config, column_map, geometry, state, motion, half, weight, (left < 3u) ? 2u : 1u);
+    const side_t side[2] = {
+        { self->half[after(after(self->oldest))], (left < 3u) ? ending[2u - left] : INNER, false },
+        { self->half[self->oldest], (left < 3u) ? beginning[2u - left] : 0.0, left == 2u },
+    };
+    integrate(config, column_map, geometry, state, motion, side, (left < 3u) ? 2u : 1u);
     const double refused = 1.0 - state->accepted;
     for (uint32_t j = 0; j < n; j++) {
         for (uint32_t twin = 0; twin < 2u; twin++) {
-            half[0][j][twin].impulse += tau_before[j];
-            half[0][j][twin].refused += refused;
-            half[1][j][twin].refused += (left == 0) ? refused : 0.0; /* it is the first of the next half as well */
+            side[0].of_joint[j][twin].impulse += tau_before[j];
+            side[0].of_joint[j][twin].refused += refused;
+            if (left == 0) { /* it is the first of the next half as well */
+                side[1].of_joint[j][twin].impulse = 0.0;
+                side[1].of_joint[j][twin].refused = refused;
+            }
         }
     }
     if (left > 0) {

@@ -403,10 +403,11 @@ static double *spatial_slopes(const zygos_config_t *config, const zygos_motion_t
     const uint32_t kinetic = zygos_kinetic_parameters(config);
     const double(*v)[3] = motion->rate;
     const double *axis = motion->axis[i];
-    double turned[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
+    const uint32_t begin = base + 2u * i; /* those before it do not turn, and are not read of turned */
+    double turned[ZYGOS_MAX_DIRECTIONS][3];
     double lag[3];
     cross3(axis, motion->spin[i], lag);
-    for (uint32_t b = base + 2u * i; b < base + 2u * n; b++) {
+    for (uint32_t b = begin; b < base + 2u * n; b++) {
         double behind[3];
         cross3(axis, v[b], turned[b]);
         cross3(lag, motion->direction[b], behind);
@@ -415,10 +416,11 @@ static double *spatial_slopes(const zygos_config_t *config, const zygos_motion_t
         }
         cross3(axis, motion->direction[b], moved[b]);
     }
-    turned_products(config, v, (const double(*)[3])turned, base + 2u * i, by_angle);
+    turned_products(config, v, (const double(*)[3])turned, begin, by_angle);
     if (by_rate == NULL) {
         return by_angle + kinetic;
     }
+    memset(moved, 0, begin * sizeof moved[0]);
     memset(by_rate, 0, kinetic * sizeof by_rate[0]);
     (void)spatial_products(config, v, (const double(*)[3])moved, by_rate);
     (void)spatial_products(config, (const double(*)[3])moved, v, by_rate);
@@ -449,7 +451,7 @@ void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t 
     double gravity[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
     double *gravity_place = NULL;
     if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
-        double moved[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
+        double moved[ZYGOS_MAX_DIRECTIONS][3];
         gravity_place = spatial_slopes(config, motion, i, by_angle, by_rate, moved);
         const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? 3u : 0u;
         for (uint32_t b = 2u * i; (b < 2u * n) && self->has_gravity[n - 1u]; b++) {
@@ -465,9 +467,9 @@ void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t 
         }
     }
     if (self->has_gravity[n - 1u]) {
-        const double none[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
         gravity_columns(self, n, gravity, gravity_place);
         if (by_rate != NULL) {
+            const double none[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
             gravity_columns(self, n, none, &by_rate[gravity_place - by_angle]);
         }
     }

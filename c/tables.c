@@ -6,51 +6,39 @@
 
 #define WORD 8u
 
-/* One of the tables. */
+#define SIZE_OF(member) (sizeof(((zygos_arm_t *)0)->member))
+#define TABLES(WHICH)                                                                                                  \
+    WHICH(column_map)                                                                                                  \
+    WHICH(geometry)                                                                                                    \
+    WHICH(smoother.taps)                                                                                               \
+    WHICH(smoother.gyro)                                                                                               \
+    WHICH(smoother.limit)                                                                                              \
+    WHICH(noise)                                                                                                       \
+    WHICH(motor_sums.column_map)                                                                                       \
+    WHICH(motor_sums.noise)                                                                                            \
+    WHICH(momentum_sums.deviation)                                                                                     \
+    WHICH(momentum_sums.rotor)                                                                                         \
+    WHICH(joint_sums.weight)                                                                                           \
+    WHICH(joint_sums.deviation)                                                                                        \
+    WHICH(joint_sums.rotor_variance)
+
+/* Where the configuration and the tables are, in the order in which they are verified. */
 typedef struct {
-    const void *memory;
+    uint32_t at;
     uint32_t bytes;
 } region_t;
+#define REGION(member) { (uint32_t)offsetof(zygos_arm_t, member), (uint32_t)SIZE_OF(member) },
+static const region_t regions[] = { REGION(config) TABLES(REGION) };
+#define REGIONS ((uint32_t)(sizeof regions / sizeof regions[0]))
 
-#define REGIONS 13u
+/* Cycles that the patrol takes for them. */
+#define MOST (ZYGOS_PATROL_WORDS * WORD)
+#define PARTS(member) +(uint32_t)((SIZE_OF(member) + MOST - 1u) / MOST)
+#define PASS (0u PARTS(config) TABLES(PARTS))
 
-static region_t region(const void *memory, size_t bytes)
+static const unsigned char *memory_of(const zygos_arm_t *arm, uint32_t region)
 {
-    const region_t out = { memory, (uint32_t)bytes };
-    return out;
-}
-#define WHOLE(member) region(&(member), sizeof(member))
-
-static region_t region_of(const zygos_arm_t *arm, uint32_t k)
-{
-    switch (k) {
-    case 0:
-        return WHOLE(arm->column_map);
-    case 1:
-        return WHOLE(arm->geometry);
-    case 2:
-        return WHOLE(arm->smoother.taps);
-    case 3:
-        return WHOLE(arm->smoother.gyro);
-    case 4:
-        return WHOLE(arm->smoother.limit);
-    case 5:
-        return WHOLE(arm->noise);
-    case 6:
-        return WHOLE(arm->motor_sums.column_map);
-    case 7:
-        return WHOLE(arm->motor_sums.noise);
-    case 8:
-        return WHOLE(arm->momentum_sums.deviation);
-    case 9:
-        return WHOLE(arm->momentum_sums.rotor);
-    case 10:
-        return WHOLE(arm->joint_sums.weight);
-    case 11:
-        return WHOLE(arm->joint_sums.deviation);
-    default:
-        return WHOLE(arm->joint_sums.rotor_variance);
-    }
+    return (const unsigned char *)arm + regions[region].at;
 }
 
 /* Of the counts among them. */
@@ -68,9 +56,8 @@ static uint64_t counts_checksum(const zygos_arm_t *arm)
 uint64_t zygos_tables_checksum(const zygos_arm_t *arm)
 {
     uint64_t sum = counts_checksum(arm);
-    for (uint32_t k = 0; k < REGIONS; k++) {
-        const region_t table = region_of(arm, k);
-        sum = zygos_checksum_memory(sum, table.memory, table.bytes);
+    for (uint32_t k = 1; k < REGIONS; k++) {
+        sum = zygos_checksum_memory(sum, memory_of(arm, k), regions[k].bytes);
     }
     return sum;
 }
@@ -88,34 +75,31 @@ static bool end_pass(zygos_patrol_t *self, zygos_arm_t *arm)
 
 bool zygos_patrol_part(zygos_patrol_t *self, zygos_arm_t *arm, const zygos_config_t *config)
 {
-    const region_t table = region_of(arm, self->region - 1u);
-    const uint32_t bytes = (self->region == 0) ? (uint32_t)sizeof *config : table.bytes;
+    const uint32_t region = (self->region < REGIONS) ? self->region : 0u;
+    const uint32_t bytes = regions[region].bytes;
     const uint32_t from = (self->offset < bytes) ? self->offset : 0u;
     const uint32_t left = bytes - from;
-    const uint32_t part = (left < ZYGOS_PATROL_WORDS * WORD) ? left : ZYGOS_PATROL_WORDS * WORD;
+    const uint32_t part = (left < MOST) ? left : MOST;
     bool good = true;
-    if (self->region == 0) {
-        self->begun = (from == 0) ? arm->cycle : self->begun;
-        good = zygos_is_same((const unsigned char *)&arm->config + from, (const unsigned char *)config + from, part);
-        self->sum = counts_checksum(arm);
+    if (region == 0) {
+        if (from == 0) {
+            self->begun = arm->cycle;
+            self->sum = counts_checksum(arm);
+        }
+        good = zygos_is_same(memory_of(arm, 0) + from, (const unsigned char *)config + from, part);
     } else {
-        self->sum = zygos_checksum_memory(self->sum, (const unsigned char *)table.memory + from, part);
+        self->sum = zygos_checksum_memory(self->sum, memory_of(arm, region) + from, part);
     }
     self->offset = from + part;
     if (self->offset < bytes) {
         return good;
     }
-    self->region++;
+    self->region = region + 1u;
     self->offset = 0;
-    return (self->region <= REGIONS) ? good : end_pass(self, arm);
+    return (self->region < REGIONS) ? good : end_pass(self, arm);
 }
 
-uint32_t zygos_patrol_cycles(const zygos_arm_t *arm)
+uint32_t zygos_patrol_cycles(void)
 {
-    const uint32_t most = ZYGOS_PATROL_WORDS * WORD;
-    uint32_t cycles = ((uint32_t)sizeof arm->config + most - 1u) / most;
-    for (uint32_t k = 0; k < REGIONS; k++) {
-        cycles += (region_of(arm, k).bytes + most - 1u) / most;
-    }
-    return cycles;
+    return PASS;
 }

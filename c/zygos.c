@@ -13,7 +13,7 @@
 /* The most cycles that follow a copy without one, whatever memory says of how long that one took. */
 #define LONGEST_PAUSE 16384u
 /* Cycles in which a copy waits for a pass of the patrol, whatever the capacities of the build are. */
-#define VERIFYING 32u
+#define VERIFYING 48u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
 
@@ -488,7 +488,7 @@ static bool is_verified(zygos_t *self, const zygos_given_t *given, uint64_t copi
         self->verifying = VERIFYING;
         memset(&self->patrol, 0, sizeof self->patrol);
     }
-    const uint32_t pass = zygos_patrol_cycles(&self->state);
+    const uint32_t pass = zygos_patrol_cycles();
     const uint32_t parts = (self->verifying == 1u) ? pass : pass / VERIFYING + 1u;
     for (uint32_t part = 0; (part < parts) && (self->state.scrubbed < copied); part++) {
         if (patrol(self, given) != 0) {

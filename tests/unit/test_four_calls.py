@@ -346,7 +346,7 @@ def begun() -> tuple[Loop, Any, int]:
 
 def patrol(loop: Loop, array: Any, first: int) -> list[int]:
     """As many cycles as one pass of the patrol takes."""
-    cycles = int(lib.zygos_patrol_cycles(loop.sums))
+    cycles = int(lib.zygos_patrol_cycles())
     found = []
     for k in range(cycles):
         array[first].sync = first + 1 + k

@@ -30,7 +30,7 @@ uint64_t zygos_tables_checksum(const zygos_arm_t *arm);
 bool zygos_patrol_part(zygos_patrol_t *self, zygos_arm_t *arm, const zygos_config_t *config);
 
 /// Returns the number of cycles that a pass takes.
-uint32_t zygos_patrol_cycles(const zygos_arm_t *arm);
+uint32_t zygos_patrol_cycles(void);
 
 #ifdef __cplusplus
 }
