@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+import shlex
+import sys
+
 
 class ZygosError(Exception):
     """Bad input. The message says what is wrong and how to repair it: ``"what is wrong: …; remedy: …"``."""
@@ -19,3 +23,15 @@ class Damaged(ZygosError):
     """The question was answered, but from a log that is incomplete."""
 
     exit_code = 4
+
+
+def installs(extra: str) -> str:
+    """The command that installs an extra of zygos into the environment in use, for a remedy."""
+    return pip_installs(f"'zygos[{extra}]'")
+
+
+def pip_installs(package: str) -> str:
+    """The command that installs a package into the environment in use; one without pip is named to another pip."""
+    python = shlex.quote(sys.executable)
+    pip = f"{python} -m pip" if importlib.util.find_spec("pip") else f"pip --python {python}"
+    return f"{pip} install {package}"

@@ -474,7 +474,7 @@ REFUSALS: list[tuple[str, tuple[object, ...], str]] = [
     ("no DBC", (*MAP, *OUT), "needs the DBC of its bus"),
     ("DBC that is not there", ("--dbc", "{in}/no.dbc", *MAP, *OUT), "no.dbc: no such file"),
     ("DBC that is none", ("--dbc", "{in}/bad.dbc", *MAP, *OUT), "bad.dbc: not a readable DBC"),
-    ("DBC twice", (*DBC, *DBC, *MAP, *OUT), "message Cycle is also defined in another DBC"),
+    ("DBC twice", (*DBC, *DBC, *MAP, *OUT), "message Drive1Position is defined in arm.dbc as well"),
     ("map that is not there", (*DBC, "--map", "{in}/no.toml", *ARM, *OUT), "no.toml: no such file"),
     (
         "no arm file",

@@ -22,6 +22,7 @@ from zygos.native.flight import Flight
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.runs.tables import read_cycles, write_cycles
 from zygos.simulation.scenario import Scenario, load_scenario
+from zygos.telemetry.convert import cycles_of
 from zygos.telemetry.grid import (
     Track,
     held_mean,
@@ -299,8 +300,23 @@ def test_columns_that_are_refused(arm: Arm, tmp_path: Path) -> None:
         counted(arm, tmp_path, renamed)
     with pytest.raises(ZygosError, match="has values that are not numbers"):
         counted(arm, tmp_path, columns | {"wz": np.full(20, "north")})
-    with pytest.raises(ZygosError, match="row 4; remedy: remove rows without time"):
-        counted(arm, tmp_path, columns | {"n": np.where(np.arange(20) == 3, np.nan, columns["n"])})
+    with pytest.raises(ZygosError, match=r"time: column n of x\.npz has no value; remedy: name the column of the time"):
+        counted(arm, tmp_path, columns | {"n": np.full(20, np.nan)})
+
+
+def test_what_is_missing_in_a_table_is_counted(arm: Arm, tmp_path: Path) -> None:
+    """Rows without time, and single values: with a counter their cycles are missing, on a grid they are bridged."""
+    columns = row(some_cycles(60)) | {"t": 0.05 * np.arange(60)}
+    for name, at in (("n", 3), ("t", 3), ("l1", 7), ("l1", 20), ("wz", 8)):
+        columns[name] = np.where(np.arange(60) == at, np.nan, columns[name])
+    for text, lost in (
+        (SYNC + JOINTS + GYRO, {"rows without time": 1, "incomplete cycles": 3}),
+        (GRID + JOINTS + GYRO, {"rows without time": 1, "missing values": 3}),
+    ):
+        chosen = mapping(tmp_path, arm, text)
+        write_columns(tmp_path / "x.npz", columns)
+        _, _, left_out = cycles_of(read_table(tmp_path / "x.npz", chosen), chosen, arm)
+        assert {name: count for name, count in left_out.items() if count} == lost
 
 
 def test_a_signal_without_a_value(arm: Arm, tmp_path: Path) -> None:
@@ -719,9 +735,9 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
 
 def test_without_polars_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(__import__("sys").modules, "polars", None)
-    (tmp_path / "x.csv").write_text("a\n1\n")
+    (tmp_path / "x.parquet").touch()
     with pytest.raises(ZygosError, match=r"pip install 'zygos\[tables\]'"):
-        read_columns(tmp_path / "x.csv")
+        read_columns(tmp_path / "x.parquet")
 
 
 def test_recordings_of_an_even_train_have_no_stamp_noise() -> None:

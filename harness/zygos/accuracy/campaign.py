@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol
 
-from zygos.errors import ZygosError
+from zygos.errors import ZygosError, installs
 from zygos.files.output import write_text
 from zygos.files.progress import progress
 
@@ -48,7 +48,7 @@ def executor(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
     try:
         distributed = import_module("distributed")
     except ImportError as error:
-        raise ZygosError(f"--scheduler needs Dask ({error}); remedy: pip install 'zygos[cluster]'") from None
+        raise ZygosError(f"--scheduler needs Dask ({error}); remedy: {installs('cluster')}") from None
     try:
         client: Any = distributed.Client(scheduler, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from zygos.can import damaged as salvage
 from zygos.can import vcan
-from zygos.errors import ZygosError
+from zygos.errors import ZygosError, installs, pip_installs
 from zygos.files import inputs
 from zygos.files.output import cannot_be_written, is_dash, write_bytes
 from zygos.native.flight import FRAME
@@ -89,7 +89,7 @@ def _check_suffix(path: Path, suffix: str) -> None:
     if suffix not in LOG_SUFFIXES:
         raise ZygosError(f"{path}: not a known kind of CAN log; remedy: use one of {' '.join(LOG_SUFFIXES)}")
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
-        raise ZygosError(f"{path}: .mf4 needs asammdf; remedy: pip install 'zygos[mf4]', or use a .blf")
+        raise ZygosError(f"{path}: .mf4 needs asammdf; remedy: {installs('mf4')}, or use a .blf")
 
 
 def check_log(path: Path) -> None:
@@ -100,9 +100,9 @@ def check_log(path: Path) -> None:
             f"{path}: standard input does not begin like a CAN log; remedy: send it the bytes of a "
             f"{' '.join(LOG_SUFFIXES)} file, the lines of `candump -L`, or, where the command takes one, of a table"
         )
-    _check_suffix(path, suffix)
-    if not inputs.local(path).is_file():
-        raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
+    if not inputs.local(path).is_dir():
+        _check_suffix(path, suffix)
+    inputs.check_file(path, "give a CAN log, for instance one that `zygos simulate` wrote")
 
 
 class LogWriter:
@@ -237,9 +237,12 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None = N
             vcan.make_room(opened.socket)
         return opened
     except (can.CanError, OSError, ValueError, ImportError) as error:
+        called = f"bus {interface or 'of can.conf'} {channel or ''}".strip()
+        if "msgpack" in str(error):  # python-can does not say who needs it
+            raise ZygosError(f"{called}: udp_multicast needs msgpack; remedy: {pip_installs('msgpack')}") from error
         raise ZygosError(
-            f"bus {interface or 'of can.conf'} {channel or ''} cannot be opened ({error}); remedy: check -i and -c, "
-            "bring the interface up, or run under tools/with-vcan"
+            f"{called} cannot be opened ({error}); remedy: check -i and -c, bring the interface up, or run under "
+            "tools/with-vcan"
         ) from error
 
 

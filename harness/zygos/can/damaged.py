@@ -281,8 +281,8 @@ def _mf4(path: Path, damage: list[str]) -> Iterator[can.Message]:
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
-    """Suppress what readers log about lines they cannot read; the damage is reported by this module."""
+def silence() -> Iterator[None]:
+    """Suppress what libraries log about what they cannot read; the damage is reported by their callers."""
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -297,5 +297,5 @@ def messages(path: Path, damage: list[str]) -> Iterator[can.Message]:
     Only compressed parts have a checksum. Errors inside a frame elsewhere are left for the receiver to detect.
     """
     suffix = path.suffix.lower()
-    with _silence():
+    with silence():
         yield from (_blf if suffix == ".blf" else _mf4 if suffix == ".mf4" else _text)(path, damage)

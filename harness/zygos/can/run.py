@@ -49,7 +49,7 @@ class Run:
     path: Path | None = None
     """The file that it was read from, if any."""
     damage: tuple[str, ...] = ()
-    """What is missing of a damaged log, in sentences; empty for a whole one."""
+    """What is missing of a damaged file, in sentences; empty for a whole one."""
 
     @classmethod
     def of_cycles(cls, arm: Arm, cycles: Cycles) -> Run:
@@ -135,12 +135,14 @@ def find_arm(run: Path, arm: Path | None = None) -> Path:
 
 
 def read_run(path: Path, arm: Arm, progress: Callable[[int], None] | None = None) -> Run:
-    """Read a log or a table of cycles; `Run.damage` says what is missing of a log. progress: as in `read_log`.
+    """Read a log or a table of cycles; `Run.damage` says what is missing of it. progress: as in `read_log`.
 
     Errors: as `load_run`.
     """
     if is_table(path):
-        return Run(arm, table=read_cycles(path, arm), path=path)
+        damage: list[str] = []
+        cycles = read_cycles(path, arm, damage)
+        return Run(arm, table=cycles, path=path, damage=tuple(f"{path} {text}" for text in damage))
     log = bus.read_log(path, progress)
     return Run(arm, log.frames, path=path, damage=log.damage)
 

@@ -14,14 +14,15 @@ from zygos.files.output import check_outputs, counted, note, number, quiet, say,
 from zygos.files.progress import progress
 from zygos.model.model import Model, load_model
 from zygos.model.nearest import DETERMINED, ENTRIES, UNITS, Nearest, entries_of, nearest_bodies
-from zygos.urdf.chain import with_inertials
-from zygos.urdf.exporting import bodies_of, chain_of, comment
 
 
 def export_urdf(
     arm_file: Path, model_file: Path, urdf: Path, out: Path, cad: Path | None, base: str | None, json: str | None
 ) -> None:
     """Write a URDF with the inertials of a model; see `zygos export --help`."""
+    from zygos.urdf.chain import with_inertials  # noqa: PLC0415  (the help needs no extra)
+    from zygos.urdf.exporting import bodies_of, chain_of, comment  # noqa: PLC0415
+
     check_outputs([out, json], [arm_file, model_file, urdf, cad])
     arm, model = load_arm(arm_file), load_model(model_file)
     bodies = bodies_of(model_file, model, cad)

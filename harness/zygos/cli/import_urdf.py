@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,9 +14,10 @@ from zygos.cli.options import Json
 from zygos.errors import ZygosError
 from zygos.files.output import check_outputs, counted, note, number, quiet, say, write_json, write_text
 from zygos.model.model import load_model, save_model
-from zygos.urdf.answers import Answers
-from zygos.urdf.chain import Chain, read_chain
-from zygos.urdf.importing import arm_text, model_of
+
+if TYPE_CHECKING:
+    from zygos.urdf.answers import Answers
+    from zygos.urdf.chain import Chain
 
 
 def import_urdf(
@@ -29,6 +30,10 @@ def import_urdf(
     json: str | None,
 ) -> None:
     """Write arm.toml and model.toml from a URDF; see `zygos import --help`."""
+    from zygos.urdf.answers import Answers  # noqa: PLC0415  (the help needs no extra)
+    from zygos.urdf.chain import read_chain  # noqa: PLC0415
+    from zygos.urdf.importing import arm_text, model_of  # noqa: PLC0415
+
     if (folder is None) == (template is None):
         raise ZygosError("nothing to write; remedy: give either -o FOLDER or --template ANSWERS.toml")
     files = [template] if template else [folder / "arm.toml", folder / "model.toml"] if folder else []

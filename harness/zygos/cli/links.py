@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from zygos.files.output import number, table
 from zygos.model.model import Model
-from zygos.urdf.chain import Chain
+
+if TYPE_CHECKING:
+    from zygos.urdf.chain import Chain
 
 
 def table_of_bodies(chain: Chain, model: Model) -> None:

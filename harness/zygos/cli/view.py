@@ -29,7 +29,6 @@ from zygos.files.output import (
 )
 from zygos.files.progress import progress
 from zygos.model.model import load_model
-from zygos.view.scene import FRAMES_PER_S, MOST_FRAMES, STILLS, film, frame_instants, page, png, serve
 
 
 def view_run(
@@ -44,6 +43,17 @@ def view_run(
     json: str | None,
 ) -> None:
     """Show a run; see `zygos view --help`."""
+    from zygos.view.scene import (  # noqa: PLC0415  (the help needs no extra)
+        FRAMES_PER_S,
+        MOST_FRAMES,
+        STILLS,
+        film,
+        frame_instants,
+        page,
+        png,
+        serve,
+    )
+
     chosen = find_arm(run_file, arm_file)
     check_outputs([png_file, html_file, json], [run_file, chosen, run_file.parent / "arm.toml", model_file])
     if at is not None and png_file is None:

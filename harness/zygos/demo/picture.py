@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from zygos.demo.loop import Closed, errors
-from zygos.errors import ZygosError
+from zygos.errors import ZygosError, installs
 from zygos.files.output import number, write_text
 
 _BEFORE, _AFTER, _TRUE = "#c2410c", "#1d4ed8", "#404040"
@@ -27,7 +27,7 @@ def draw_loop(path: Path, closed: Closed, period_s: float) -> None:
         import matplotlib as mpl  # noqa: PLC0415  (an optional dependency)
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ImportError as error:
-        raise ZygosError("the picture needs matplotlib; remedy: pip install 'zygos[view]'") from error
+        raise ZygosError(f"the picture needs matplotlib; remedy: {installs('view')}") from error
     style: Any = {"svg.hashsalt": "zygos", "font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False}
     with mpl.rc_context(style):
         figure: Any = Figure(figsize=(10.0, 4.6), layout="constrained")

@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from zygos.errors import ZygosError
 from zygos.files.output import is_dash, note
 
 _KINDS = (
@@ -68,6 +69,14 @@ def local(path: Path) -> Path:
     """The file to open for an input: the file itself, or the copy of standard input if the name is "-"."""
     spool = _SPOOL.get()
     return path if spool is None or not is_dash(path) else spool.file
+
+
+def check_file(path: Path, remedy: str) -> None:
+    """Refuse an input that does not exist, or that is a folder. remedy: where it does not exist."""
+    if local(path).is_dir():
+        raise ZygosError(f"{path}: is a folder; remedy: give a file in it")
+    if not local(path).is_file():
+        raise ZygosError(f"{path}: no such file; remedy: {remedy}")
 
 
 def suffix(path: Path) -> str:

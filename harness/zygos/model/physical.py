@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from zygos.arm import Arm
-from zygos.errors import Undecided, ZygosError
+from zygos.errors import Undecided, ZygosError, installs
 from zygos.model import gram
 from zygos.model.model import INERTIA_KEYS, Body, JointModel, Model, Quantity
 from zygos.quantiles import fisher_isf
@@ -311,7 +311,7 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
         cvxpy = import_module("cvxpy")
         import_module("clarabel")
     except ImportError:
-        raise ZygosError("fitting needs cvxpy and Clarabel; remedy: pip install 'zygos[fit]'") from None
+        raise ZygosError(f"fitting needs cvxpy and Clarabel; remedy: {installs('fit')}") from None
     drawn = drawing.candidate_values(arm)
     candidates = (_by_matrix if arm.structure.candidates_are_full else _by_bodies)(cvxpy, arm, drawn)
     x = arm.structure.groups @ candidates

@@ -37,13 +37,14 @@ def write_cycles(path: Path, cycles: Cycles) -> None:
     write_columns(path, dict(zip(_names(joints), values, strict=True)))
 
 
-def read_cycles(path: Path, arm: Arm) -> Cycles:
+def read_cycles(path: Path, arm: Arm, damage: list[str] | None = None) -> Cycles:
     """Read a cycle table of an arm. Values may be NaN; the flight library drops such cycles.
 
+    damage: as of `read_columns`.
     Raises ZygosError naming the column if it is missing, unknown or not numeric, if cycle numbers or flags are not
     integers, or if cycle numbers do not increase.
     """
-    columns = read_columns(path)
+    columns = read_columns(path, damage)
     if suffix(path) == ".npz":
         columns = {_of_npz(name): values for name, values in columns.items()}
     wanted = _names(arm.n)

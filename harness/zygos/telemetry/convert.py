@@ -56,11 +56,16 @@ def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track]
     if mapping.clock.kind == "sync":
         run = synchronous(recording, mapping, arm)
         lost = {"incomplete cycles": run.incomplete, "repeated cycles": run.repeated}
-        return tracks_of(run.cycles, arm, mapping), run.cycles, lost
+        return tracks_of(run.cycles, arm, mapping), run.cycles, dict(recording.left_out) | lost
     found = tracks(recording, mapping)
     cycles = regrid(found, arm, mapping)
     missing = int(cycles.sync[-1]) + 1 - len(cycles)
-    return found, cycles, {"instants in holes": missing, "repeated stamps": sum(track.repeated for track in found)}
+    lost = {
+        "instants in holes": missing,
+        "repeated stamps": sum(track.repeated for track in found),
+        "missing values": sum(int(np.count_nonzero(~np.isfinite(one.value))) for one in recording.sources.values()),
+    }
+    return found, cycles, dict(recording.left_out) | lost
 
 
 def noise_of(found: Sequence[Track], mapping: Map, arm: Arm) -> list[Noise]:
@@ -270,6 +275,7 @@ def warnings_of(
             f"{slow.channel.label}: one sample in {slow.interval_s / arm.period_s:,.0f} periods of the arm; the values "
             "between them are interpolated: check the unit of the time, or make period_s of the arm file longer"
         )
+    warnings += recording.warnings
     if recording.damaged:
         warnings.append(f"{counted(recording.damaged, 'frame')} could not be decoded by the DBC")
     q = encoder_angle([joint.link_encoder for joint in arm.joints], cycles.q)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable, Sequence
+import re
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,9 +23,10 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.can import bus
+from zygos.can.damaged import silence
 from zygos.errors import ZygosError
-from zygos.files.inputs import local
-from zygos.files.output import is_dash
+from zygos.files.inputs import check_file, local
+from zygos.files.output import counted, is_dash
 from zygos.files.tables import Columns, read_columns
 from zygos.files.toml import Table
 
@@ -161,7 +163,11 @@ class Recording:
     damaged: int = 0
     """Number of frames that the DBC could not decode."""
     missing: tuple[str, ...] = ()
-    """Sentences about what is missing in a damaged log, each beginning with its name."""
+    """Sentences about what is missing in a damaged file, each beginning with its name."""
+    left_out: tuple[tuple[str, int], ...] = ()
+    """What was left out on reading, and how often."""
+    warnings: tuple[str, ...] = ()
+    """Sentences about faults in what the map does not need, or that only its owner can judge."""
 
 
 def closest(name: str, known: Iterable[str], noun: str) -> str:
@@ -463,28 +469,36 @@ def _clock(table: Table, arm: Arm, recorded: Input) -> Clock:
 
 
 def read_table(path: Path, mapping: Map) -> Recording:
-    """Read the columns that a map names. Errors: ZygosError for a column that is missing or not numeric."""
-    columns = read_columns(path)
-    nowhere = np.full(len(next(iter(columns.values()))), np.nan)
-    rows = np.arange(len(nowhere))
-    sources = {
-        channel.source: SourceSamples(
-            _column(path, columns, channel.source, channel.where).astype(np.float64),
-            rows,
-            nowhere,
-        )
-        for channel in mapping.channels
-    }
+    """Read the columns that a map names; rows without time are left out. Errors: ZygosError for a column that is
+    missing or not numeric."""
+    damage: list[str] = []
+    columns = read_columns(path, damage)
     raw = _column(path, columns, mapping.clock.source, mapping.clock.where)
     if raw.dtype.kind == "u":
         raw = raw.astype(np.int64)
-    clock = (raw - raw[0]).astype(np.float64)  # nanoseconds since 1970 have more digits than a float can store
-    if not np.all(np.isfinite(clock)):
-        at = int(np.flatnonzero(~np.isfinite(clock))[0])
+    timed = np.isfinite(raw)
+    if not timed.any():
         raise ZygosError(
-            f"{path}: column {mapping.clock.source} has no value in row {at + 1}; remedy: remove rows without time"
+            f"{mapping.clock.where}: column {mapping.clock.source} of {path.name} has no value; remedy: name the "
+            "column of the time"
         )
-    return Recording(sources, clock, nowhere, mapping.clock.modulo)
+    clock = (raw[timed] - raw[timed][0]).astype(np.float64)  # ns since 1970 have more digits than a float can store
+    nowhere = np.full(len(clock), np.nan)
+    rows = np.arange(len(clock))
+    sources = {
+        channel.source: SourceSamples(
+            _column(path, columns, channel.source, channel.where)[timed].astype(np.float64), rows, nowhere
+        )
+        for channel in mapping.channels
+    }
+    return Recording(
+        sources,
+        clock,
+        nowhere,
+        mapping.clock.modulo,
+        missing=tuple(f"{path} {text}" for text in damage),
+        left_out=(("rows without time", int(np.count_nonzero(~timed))),),
+    )
 
 
 def _column(path: Path, columns: Columns, name: str, where: str) -> NDArray[Any]:
@@ -517,32 +531,45 @@ class Dictionary:
 
     files: tuple[Path, ...]
     messages: dict[str, Message]
+    unusable: dict[str, str]
+    """Faults of messages whose signals cannot be read, by the name of the message: each begins with its file."""
+    doubtful: dict[str, str]
+    """Faults of messages of which single signals can be read, likewise."""
 
     @classmethod
     def load(cls, files: Sequence[Path]) -> Dictionary:
-        """Read DBC files. Errors: ZygosError for one that is missing, unreadable, or defines a message again."""
+        """Read DBC files. Faults of single messages are recorded. Errors: ZygosError for a file that is missing or
+        unreadable."""
         messages: dict[str, Message] = {}
+        origin: dict[str, Path] = {}
+        unusable: dict[str, str] = {}
+        doubtful: dict[str, str] = {}
         for file in files:
-            try:
-                database = cantools.database.load_file(
-                    str(local(file)), database_format="dbc" if is_dash(file) else None
-                )
-            except FileNotFoundError:
-                raise ZygosError(f"{file}: no such file; remedy: check the path") from None
-            except Exception as error:  # cantools raises different errors for each format
-                first = (str(error).strip().splitlines() or [""])[0]
-                raise ZygosError(f"{file}: not a readable DBC ({first}); remedy: correct that file") from error
-            for message in getattr(database, "messages", ()):
-                if message.name in messages:
-                    raise ZygosError(
-                        f"{file}: message {message.name} is also defined in another DBC; remedy: leave one of them out"
-                    )
-                messages[message.name] = message
-        return cls(tuple(files), messages)
+            for name, fault in (parsed := _parse(file))[1].items():
+                unusable[name] = f"{file.name}: {fault}"
+            for message in parsed[0]:
+                name, other = message.name, messages.get(message.name)
+                if other is not None:
+                    both = f"0x{other.frame_id:X} and 0x{message.frame_id:X}"
+                    before = "twice" if origin[name] is file else f"in {origin[name].name} as well"
+                    unusable[name] = f"{file.name}: message {name} is defined {before}, with the identifiers {both}"
+                    continue
+                messages[name], origin[name] = message, file
+                try:
+                    message.refresh(strict=True)
+                except cantools.Error as error:
+                    doubtful[name] = f"{file.name}: {_sentence(error)}"
+        return cls(tuple(files), messages, unusable, doubtful)
 
     def find(self, source: str, where: str) -> tuple[Message, Any]:
-        """Message and signal of "message.signal". Errors: ZygosError naming the closest that exists."""
+        """Message and signal of "message.signal". Errors: ZygosError for a message with a fault, and for a signal that
+        does not exist, naming the closest."""
         name, _, signal_name = source.partition(".")
+        if name in self.unusable:
+            raise ZygosError(
+                f"{where}: {self.unusable[name]}; remedy: correct that message in the DBC, or "
+                "leave out a file that defines it as well"
+            )
         message = self.messages.get(name)
         if message is not None:
             for signal in message.signals:
@@ -551,6 +578,65 @@ class Dictionary:
         known = [f"{m.name}.{s.name}" for m in self.messages.values() for s in m.signals]
         files = " or ".join(file.name for file in self.files)
         raise ZygosError(f'{where}: there is no "{source}" in {files}; remedy: {closest(source, known, "signals")}')
+
+    def warnings(self, used: Collection[str]) -> list[str]:
+        """Sentences about the faults of messages, which did not hinder. used: the messages that a map uses."""
+        said = [
+            f"{fault}; the map uses one of these signals: check that message in the DBC"
+            for name, fault in self.doubtful.items()
+            if name in used
+        ]
+        others = [fault for name, fault in (self.unusable | self.doubtful).items() if name not in used]
+        if others:
+            more = f", and {counted(len(others) - 1, 'more such fault')}" if len(others) > 1 else ""
+            said.append(f"{others[0]}{more}; the map does not use that message")
+        return said
+
+
+_DATABASES = ("arxml", "cdd", "dbc", "kcd", "sym")
+"""Formats of cantools."""
+
+
+def _parse(file: Path) -> tuple[list[Message], dict[str, str]]:
+    """The messages of a DBC file, and the faults of those that the library refuses, by their names; these are left out
+    of its text until it accepts the rest."""
+    check_file(file, "check the path")
+    try:
+        content = local(file).read_bytes()
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("cp1252", errors="replace")  # the encoding of Vector's tools
+    kind = "dbc" if is_dash(file) else file.suffix.lower().removeprefix(".")
+    faults: dict[str, str] = {}
+    with silence():
+        while True:
+            try:
+                database = cantools.database.load_string(text, kind if kind in _DATABASES else None, strict=False)
+                return list(getattr(database, "messages", ())), faults
+            except Exception as error:  # cantools raises different errors for each format
+                shorter, name = _without(text, str(error))
+                if shorter == text:
+                    first = (str(error).strip().splitlines() or [""])[0]
+                    raise ZygosError(f"{file}: not a readable DBC ({first}); remedy: correct that file") from error
+                if name:
+                    faults[name] = _sentence(error)
+                text = shorter
+
+
+def _without(text: str, error: str) -> tuple[str, str]:
+    """The text of a DBC without the message that an error of cantools names, or without the entries that belong to no
+    message, and the name of the message."""
+    if found := re.search(r"in message (\w+)\.", error):
+        return re.sub(rf"^BO_ +\d+ +{found[1]} *:.*\n(\s+SG_ .*\n)*", "", text, flags=re.MULTILINE), found[1]
+    for entry in re.findall(r"^\s+((?:VAL_|SIG_VALTYPE_) \d+ \w+)", error, re.MULTILINE):
+        text = re.sub(rf"^{entry}\b[^;]*;", "", text, flags=re.MULTILINE)
+    return text, ""
+
+
+def _sentence(error: Exception) -> str:
+    """The text of an error of cantools, as part of a sentence."""
+    text = re.sub(r'^DBC: "|"$', "", str(error).strip()).rstrip(".")
+    return text[:1].lower() + text[1:]
 
 
 def _check_unit(channel: Channel, signal: Any) -> None:
@@ -578,7 +664,13 @@ def read_can(
     def want(source: str, where: str) -> Any:
         message, signal = dictionary.find(source, where)
         key = (message.frame_id, message.is_extended_frame)
-        wanted.setdefault(key, (message, set()))[1].add(signal.name)
+        other = wanted.setdefault(key, (message, set()))
+        if other[0] is not message:
+            raise ZygosError(
+                f"{where}: messages {other[0].name} and {message.name} have the same identifier 0x{key[0]:X} in the "
+                "DBC; remedy: correct one of them"
+            )
+        other[1].add(signal.name)
         return signal
 
     for channel in mapping.channels:
@@ -587,6 +679,7 @@ def read_can(
         signal = want(clock.source, clock.where)
         if modulo is None and not signal.is_float:
             modulo = 2.0**signal.length * abs(float(signal.scale))
+    needed = {key: _only(message, names) for key, (message, names) in wanted.items()}
     values: dict[str, list[tuple[float, int, float]]] = {channel.source: [] for channel in mapping.channels}
     ticks: list[tuple[float, float]] = []
     damaged = 0
@@ -597,7 +690,7 @@ def read_can(
         if key not in wanted or message_in.is_error_frame or message_in.is_remote_frame:
             continue
         message, names = wanted[key]
-        decoded = _decode(message, message_in)
+        decoded = _decode(needed[key], message_in)
         if decoded is None:
             damaged += 1
             continue
@@ -634,7 +727,20 @@ def read_can(
         modulo,
         damaged,
         tuple(f"{path} {text}" for text in missing),
+        warnings=tuple(dictionary.warnings({message.name for message, _ in wanted.values()})),
     )
+
+
+def _only(message: Message, names: Collection[str]) -> Message:
+    """A message with these signals only, and with those that say which signals it has. Errors: ZygosError for one that
+    is too long, or for two that overlap."""
+    signals = [signal for signal in message.signals if signal.name in names or signal.is_multiplexer]
+    try:
+        return Message(
+            message.frame_id, message.name, message.length, signals, is_extended_frame=message.is_extended_frame
+        )
+    except cantools.Error as error:
+        raise ZygosError(f"the DBC is wrong: {_sentence(error)}; remedy: correct that message in the DBC") from error
 
 
 def _decode(message: Message, frame: can.Message) -> dict[str, Any] | None:

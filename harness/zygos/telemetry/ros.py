@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from zygos.errors import ZygosError
-from zygos.files.inputs import local, suffix
+from zygos.errors import ZygosError, installs
+from zygos.files.inputs import check_file, local, suffix
 from zygos.telemetry.map import Channel, Map, Recording, SourceSamples, closest
 
 _TYPES = {"JointState": "sensor_msgs/msg/JointState", "Imu": "sensor_msgs/msg/Imu"}
@@ -22,8 +22,7 @@ def is_mcap(path: Path) -> bool:
 
 def check_mcap(path: Path) -> None:
     """Refuse an MCAP that does not exist."""
-    if not local(path).is_file():
-        raise ZygosError(f"{path}: no such file; remedy: give an MCAP that exists")
+    check_file(path, "give an MCAP that exists")
 
 
 def read_mcap(path: Path, mapping: Map, progress: Callable[[int], None] | None = None) -> Recording:
@@ -38,9 +37,7 @@ def read_mcap(path: Path, mapping: Map, progress: Callable[[int], None] | None =
         from mcap.reader import make_reader  # noqa: PLC0415
         from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
     except ImportError:
-        raise ZygosError(
-            f"{path}: .mcap needs mcap and mcap-ros2-support, which are not installed; remedy: pip install 'zygos[ros]'"
-        ) from None
+        raise ZygosError(f"{path}: .mcap needs mcap and mcap-ros2-support; remedy: {installs('ros')}") from None
     channels: dict[str, list[Channel]] = {}
     for channel in mapping.channels:
         assert channel.place is not None

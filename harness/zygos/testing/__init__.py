@@ -13,7 +13,7 @@ from typing import Any
 import can
 
 from zygos.can.bus import open_bus
-from zygos.errors import ZygosError
+from zygos.errors import ZygosError, installs
 from zygos.files.output import check_outputs, table, write_json
 from zygos.simulation.scenario import load_scenario
 from zygos.testing import faults as _faults
@@ -24,7 +24,7 @@ from zygos.testing.stream import Fault, Stream
 try:
     import pytest
 except ImportError as error:
-    raise ZygosError("zygos.testing needs pytest; remedy: pip install 'zygos[testing]'") from error
+    raise ZygosError(f"zygos.testing needs pytest; remedy: {installs('testing')}") from error
 
 __all__ = ["Dut", "Fault", "Pace", "Plant", "Sent", "Stream"]
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from zygos.errors import ZygosError
+from zygos.errors import ZygosError, installs
 from zygos.files.inputs import local
 from zygos.model.model import Body, is_possible
 
@@ -28,7 +28,7 @@ try:
     from urdf_parser_py.urdf import URDF, Inertia
     from urdf_parser_py.xml_reflection import core
 except ImportError as missing:
-    raise ZygosError(f"URDF needs the package {missing.name}; remedy: pip install 'zygos[urdf]'") from missing
+    raise ZygosError(f"URDF needs the package {missing.name}; remedy: {installs('urdf')}") from missing
 
 Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.dynamics.pose import Floats, Poses, RecordedMotion, Skeleton, forward, place
-from zygos.errors import ZygosError
+from zygos.errors import ZygosError, installs
 from zygos.files.output import (
     note,
 )
@@ -34,7 +34,7 @@ try:
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 except ImportError as error:
-    raise ZygosError(f"drawing the arm needs {error.name}; remedy: pip install 'zygos[view]'") from error
+    raise ZygosError(f"drawing the arm needs {error.name}; remedy: {installs('view')}") from error
 
 
 STILLS = 6

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.errors import ZygosError
+from zygos.errors import ZygosError, installs
 from zygos.model.model import Model
 
 Array = NDArray[np.float64]
@@ -69,5 +69,5 @@ def engine(name: str, arm: Arm, model: Model) -> Engine:
     try:
         module = import_module(f"{__name__}.{name}")
     except ImportError as error:
-        raise ZygosError(f"engine {name} cannot be loaded ({error}); remedy: pip install 'zygos[engines]'") from None
+        raise ZygosError(f"engine {name} cannot be loaded ({error}); remedy: {installs('engines')}") from None
     return cast(Engine, getattr(module, ENGINES[name])(arm, model))

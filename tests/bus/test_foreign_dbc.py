@@ -1,0 +1,118 @@
+"""DBC files with faults: of messages that the map does not use they are warnings, of others refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import telemetry_support as foreign
+from cli_support import run
+
+from conftest import PAPER, ROOT, need
+from zygos.arm import load_arm
+from zygos.runs.tables import read_cycles
+
+CASES = ROOT.parent / "shared" / "cases"
+SOUND = foreign.EXAMPLE / "arm.dbc"
+FOREIGN = '\nBO_ 1000 Foreign: 4 Drive1\n SG_ Big : {} (1,0) [0|0] "" Recorder\n'
+
+
+def convert(dbc: Path, out: Path, *more: object) -> int:
+    files = ("--map", foreign.EXAMPLE / "map.toml", "--arm", PAPER / "arm.toml")
+    return run("convert", foreign.EXAMPLE / "run.blf", "--dbc", dbc, *files, "-o", out / "run.npz", *more)
+
+
+def warnings(dbc: Path, folder: Path) -> list[str]:
+    """What is said of a DBC that is read; the run must be that of the sound DBC."""
+    assert convert(dbc, folder / "own", "--json", folder / "c.json") == 0
+    assert convert(SOUND, folder / "sound") == 0
+    arm = load_arm(PAPER / "arm.toml")
+    own, sound = (read_cycles(folder / name / "run.npz", arm) for name in ("own", "sound"))
+    np.testing.assert_array_equal(own.q, sound.q)
+    np.testing.assert_array_equal(own.tau, sound.tau)
+    found: list[str] = json.loads((folder / "c.json").read_text())["warnings"]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "dbc_foreign_message_with_too_long_signal",
+            "the signal Big does not fit in message Foreign; the map does not use that message",
+        ),
+        (
+            "dbc_overlapping_signals",
+            "the signals OutputHigh and Output are overlapping in message Drive1Torque; the map uses one of these "
+            "signals: check that message in the DBC",
+        ),
+    ],
+)
+def test_the_faults_of_the_shared_cases(name: str, said: str, tmp_path: Path) -> None:
+    need((CASES / f"{name}.dbc").is_file(), f"the case {name}")
+    assert warnings(CASES / f"{name}.dbc", tmp_path) == [f"{name}.dbc: {said}"]
+
+
+def test_a_message_that_comes_twice_in_one_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Which of the two the map means cannot be told; of a message that it does not use that does not matter."""
+    case = CASES / "dbc_message_name_twice_in_one_file.dbc"
+    need(case.is_file(), case.name)
+    assert convert(case, tmp_path) == 2
+    said = capsys.readouterr().err
+    assert "message Drive1Torque is defined twice, with the identifiers 0x311 and 0x384; remedy: " in said
+    twice = FOREIGN.format("0|8@1+") + FOREIGN.replace("1000", "1001").format("0|8@1+")
+    (tmp_path / "x.dbc").write_text(SOUND.read_text() + twice)
+    (said,) = warnings(tmp_path / "x.dbc", tmp_path)
+    assert "message Foreign is defined twice, with the identifiers 0x3E8 and 0x3E9; the map does not" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (FOREIGN.format("0|0@1+"), "the signal Big length 0 is not greater than 0 in message Foreign"),
+        (FOREIGN.replace("1000", "3000").format("0|8@1+"), "standard frame id 0xbb8 is more than 11 bits in message"),
+        (FOREIGN.format("0|0@1+") + 'VAL_ 1000 Big 0 "off" ;\n', "length 0 is not greater than 0 in message Foreign"),
+        (
+            FOREIGN.format("0|40@1+") + FOREIGN.replace("1000 Foreign", "1001 Other").format("0|0@1+"),
+            "in message Other, and 1 more such fault; the map does not use that message",
+        ),
+    ],
+    ids=["length", "identifier", "values", "two"],
+)
+def test_faults_that_the_library_refuses(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "x.dbc").write_text(SOUND.read_text() + text)
+    (found,) = warnings(tmp_path / "x.dbc", tmp_path)
+    assert said in found
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("Output : 7|32@0-", "Output : 7|40@0-", "the signal Output does not fit in message Drive1Torque"),
+        ("Output : 7|32@0-", "Output : 7|0@0-", "length 0 is not greater than 0 in message Drive1Torque"),
+        ("Link : 39|32@0-", "Link : 31|32@0-", "the signals Link and Motor are overlapping in message Drive1Position"),
+        ("BO_ 785 ", "BO_ 769 ", "messages Drive1Position and Drive1Torque have the same identifier 0x301"),
+        ("SG_ Output", "SG Output", "not a readable DBC (DBC: \"Invalid syntax at line 18"),
+    ],
+    ids=["long", "length", "overlap", "identifier", "syntax"],
+)  # fmt: skip
+def test_faults_of_what_the_map_uses_are_refused(
+    old: str, new: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = SOUND.read_text()
+    assert old in text
+    (tmp_path / "x.dbc").write_text(text.replace(old, new, 1))
+    assert convert(tmp_path / "x.dbc", tmp_path / "out") == 2
+    refusal = capsys.readouterr().err.replace("\n", " ")
+    assert said in refusal and "; remedy: " in refusal
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dbc_in_utf_8(tmp_path: Path) -> None:
+    """In the encoding of Vector's tools its degrees would be another unit."""
+    text = SOUND.read_text().replace('"deg"', '"°"')
+    for encoding in ("utf-8", "utf-8-sig", "cp1252"):
+        (tmp_path / "x.dbc").write_text(text, encoding=encoding)
+        assert warnings(tmp_path / "x.dbc", tmp_path) == []
