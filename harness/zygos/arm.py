@@ -727,8 +727,20 @@ def _compensation(table: Table) -> int | None:
 
 def read_joint(table: Table) -> Joint:
     """One [[joint]] of an arm file. Errors: as `load_arm`."""
-    gear_ratio = table.number("gear_ratio", "Turns of the motor for one turn of the joint.", above=0.0)
-    axis = np.array(table.vector("axis", "Unit vector along the joint axis, in the frame of the joint.", 3))
+    gear_ratio = table.number(
+        "gear_ratio",
+        'Turns of the motor for one turn of the joint. With torque_at = "joint", torques are not divided by it; it '
+        'divides only angles that are stated on the rotor (side = "rotor").',
+        above=0.0,
+    )
+    axis = np.array(
+        table.vector(
+            "axis",
+            "Unit vector along the joint axis, in the frame of the joint. Each joint turns, and has its own motor: "
+            "linear axes, and wrists where one motor turns two joints, are not supported.",
+            3,
+        )
+    )
     if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-6:
         raise table.error("axis", f"has length {np.linalg.norm(axis):g}", "give a unit vector")
     axis /= np.linalg.norm(axis)

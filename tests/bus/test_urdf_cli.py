@@ -151,6 +151,26 @@ def test_a_base_without_mass_can_only_be_fixed(tmp_path: Path, capsys: pytest.Ca
     assert np.isfinite(model.base_values(arm)).all()
 
 
+def test_the_arm_file_alone_needs_no_masses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Inertias of zero, as in a URDF that is only to be drawn; neither rotors nor springs are asked for."""
+    bare, alone = tmp_path / "bare.urdf", tmp_path / "new" / "mine.toml"
+    bare.write_text(re.sub(r'(i[xyz]{2}|mass value)="[^"]*"', r'\1="0"', URDF.read_text()))
+    assert run("import", bare, "--answers", ANSWERS, "-o", tmp_path / "both") == 2
+    assert "has no mass, and nothing with mass is fixed to it; remedy: " in (said := capsys.readouterr().err)
+    assert "or write the arm file alone, which needs no masses, with -o ARM.toml" in said
+    without = re.sub(r"^(rotor_inertia|stiffness|damping) = .*\n", "", ANSWERS.read_text(), flags=re.MULTILINE)
+    (tmp_path / "a.toml").write_text(without)
+    numbers = tmp_path / "n.json"
+    assert run("import", bare, "--answers", tmp_path / "a.toml", "-o", alone, "--json", numbers) == 0
+    assert f"{alone}: the arm file, 7 joints" in capsys.readouterr().out
+    assert [path.name for path in alone.parent.iterdir()] == ["mine.toml"]
+    assert json.loads(numbers.read_text())["model"] is None
+    assert import_into(tmp_path / "arm", "--answers", ANSWERS) == 0
+    assert load_arm(alone) == load_arm(tmp_path / "arm" / "arm.toml")
+    assert run("import", bare, "--answers", tmp_path / "a.toml", "-o", alone) == 2
+    assert run("import", bare, "--template", tmp_path / "t.toml") == 0
+
+
 def test_a_terminal_is_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,7 +13,7 @@ import pytest
 from scipy.optimize import minimize
 from urdf_support import answers, inertial, mass_matrix, numbers, pin_of_import, pin_of_urdf, posture, random_urdf
 
-from conftest import ROOT
+from conftest import ROOT, need
 from zygos.arm import Arm, load_arm
 from zygos.cli.import_urdf import import_urdf
 from zygos.errors import Undecided, ZygosError
@@ -170,7 +170,11 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
     "negative mass": (swapped('value="2"', 'value="-2"'), "mass -2"),
     "inertia without mass": (swapped('value="2"', 'value="0"'), "inertia but no mass"),
     "mass without inertia": (swapped(LINK, '<inertial><mass value="2"/></inertial>'), "without <inertia>"),
-    "triangle": (swapped('ixx="1"', 'ixx="2.1"'), "principal moments"),
+    "triangle": (swapped('ixx="1"', 'ixx="2.2"'), "principal moments"),
+    "triangle within digits that are given": (
+        lambda text: text.replace('="1"', '="1.000"').replace('ixx="1.000"', 'ixx="2.005"', 1),
+        "principal moments",
+    ),
     "negative inertia": (swapped('ixx="1"', 'ixx="-1"'), "principal moments"),
     "point mass": (lambda text: re.sub(r'(i..)="1"', r'\1="0"', text), "principal moments"),
     "two inertials": (swapped(LINK, LINK + LINK), "has 2 <inertial>"),
@@ -192,14 +196,24 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
         ),
         "d, e form a loop",
     ),
-    "two roots": (swapped("</robot>", '<link name="d"/></robot>'), "a, d have no parent"),
+    "two roots": (
+        swapped(
+            "</robot>",
+            '<link name="d"/><link name="e"/><joint name="x" type="fixed"><parent link="d"/><child link="e"/></joint>'
+            "</robot>",
+        ),
+        "a, d have no parent",
+    ),
     "twice": (swapped('name="b"', 'name="a"'), "two links are called a"),
     "zero axis": (swapped("0 0 2", "0 0 0"), "has no direction"),
     "short axis": (swapped("0 0 2", "0 2"), "vector length"),
     "prismatic": (swapped("revolute", "prismatic"), "joint two is prismatic"),
     "floating": (swapped("revolute", "floating"), "joint two is floating"),
     "planar": (swapped("revolute", "planar"), "joint two is planar"),
-    "mimic": (swapped('<axis xyz="0 0 2"/>', '<mimic joint="one"/>'), "mimics one"),
+    "mimic": (
+        swapped('<axis xyz="0 0 2"/>', '<mimic joint="one"/>'),
+        "mimics one: it has no motor of its own, and coupled",
+    ),
     "nothing turns": (lambda text: text.replace("continuous", "fixed").replace("revolute", "fixed"), "no joint turns"),
     "branches": (
         swapped(
@@ -207,7 +221,8 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
             f'<link name="d">{LINK}</link><joint name="x" type="continuous"><parent link="b"/><child link="d"/></joint>'
             "</robot>",
         ),
-        "--tip",
+        "branches at link b: moving joints end at the links c, d; remedy: choose the end of the arm with --tip, for "
+        "instance --tip b",
     ),
 }
 
@@ -225,7 +240,7 @@ def test_a_broken_urdf_is_refused(name: str, tmp_path: Path) -> None:
     assert str(file) in str(caught.value)
 
 
-def test_a_link_that_floats_off_is_refused_and_a_world_is_not_part_of_the_arm(tmp_path: Path) -> None:
+def test_what_floats_off_is_no_part_of_the_arm(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     world = '<link name="world">{}</link><joint name="orbit" type="floating"><parent link="world"/><child link="a"/>'
     file.write_text(SOUND.replace("</robot>", world.format("") + "</joint></robot>"))
@@ -234,9 +249,64 @@ def test_a_link_that_floats_off_is_refused_and_a_world_is_not_part_of_the_arm(tm
     assert [inertial.mass for inertial in inertials] == [2.0, 2.0, 2.0]
     with pytest.raises(ZygosError, match="joint orbit is floating: the joints of the chain must turn"):
         read_chain(file)
-    file.write_text(SOUND.replace("</robot>", world.format(LINK) + "</joint></robot>"))
-    with pytest.raises(ZygosError, match="nothing fixes world to the arm"):
-        read_chain(file, base="a")
+    file.write_text(SOUND.replace("</robot>", world.format(LINK) + '</joint><link name="cup"/></robot>'))
+    chain, inertials = read_chain(file, base="a")
+    assert [inertial.mass for inertial in inertials] == [2.0, 2.0, 2.0]
+    assert "left out, because nothing fixes it to the arm: link world, cup" in chain.notes
+
+
+def test_a_world_that_the_file_does_not_have_is_empty(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    hung = '<joint name="hung" type="fixed"><parent link="{}"/><child link="a"/><origin xyz="0 0 1"/></joint></robot>'
+    file.write_text(SOUND.replace("</robot>", hung.format("world")))
+    chain, inertials = read_chain(file)
+    assert [segment.link for segment in chain.segments] == ["world", "b", "c"]
+    assert inertials[0].mass == 2.0 and inertials[0].centre[2] == 1.0
+    assert any("no link world, which is taken as an empty one" in note for note in chain.notes)
+    file.write_text(SOUND.replace("</robot>", hung.format("table")))
+    with pytest.raises(ZygosError, match="names the link table, which the file does not have"):
+        read_chain(file)
+
+
+def shared_case(name: str) -> str:
+    file = ROOT.parent / "shared" / "cases" / name
+    need(file.is_file(), f"the case {name}")
+    return file.read_text()
+
+
+def test_a_gripper_outside_of_the_chain_is_held(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its fingers slide, and one mimics the other: masses, centres and inertias are Pinocchio's."""
+    text = shared_case("urdf_mimic_on_gripper_branch_with_tip.urdf").replace(
+        '<link name="base"></link>', f'<link name="base">{LINK}</link>'
+    )
+    out = imported(text, tmp_path, ["j1", "j2"], tip="l2")
+    assert_the_same_robot(pin_of_urdf(text, ["g1", "g2"]), pin_of_import(out), np.random.default_rng(0))
+    assert "outside the chain and fixed at zero: joint g1, g2" in capsys.readouterr().err
+    with pytest.raises(ZygosError, match=r"the tree branches at link l2: .* for instance --tip l2"):
+        read_chain(tmp_path / "in.urdf")
+
+
+def test_an_inertia_that_is_wrong_by_less_than_its_digits_is_rounded(tmp_path: Path) -> None:
+    """To the nearest one that a body can have, which then lies in a plane; the other links stay as they are."""
+    file = tmp_path / "arm.urdf"
+    text = shared_case("urdf_small_merged_link_breaks_triangle.urdf")
+    file.write_text(text)
+    chain, inertials = read_chain(file)
+    (note,) = (line for line in chain.notes if "grip_motor" in line)
+    assert "exceeded the sum of the other two by 5.8e-06 kg m^2, less than the last digit" in note
+    given = np.array([[11.5, 5.2, 2.5], [5.2, 15.3, 3.4], [2.5, 3.4, 19.0]]) * 1e-5
+    motor, link = 0.14 * 0.2**2, 2.14 * (inertials[2].centre[2] - 0.1) ** 2 - 0.14 * (0.3 - 0.1) ** 2
+    there = inertials[2].tensor - np.diag([0.02, 0.02, 0.01])
+    there[0, 0] += link
+    there[1, 1] += link
+    principal = np.linalg.eigvalsh(there)
+    assert motor > 0.0
+    assert principal[2] == pytest.approx(principal[0] + principal[1], rel=1e-9)
+    assert np.abs(there - given).max() < 5.8e-6
+    np.testing.assert_allclose(inertials[1].tensor, np.diag([0.02, 0.02, 0.01]))
+    file.write_text(text.replace('izz="0.00019"', 'izz="0.0001900"'))
+    with pytest.raises(ZygosError, match="link grip_motor has the principal moments"):
+        read_chain(file)
 
 
 def test_what_is_not_used_is_said(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def import_urdf(
     urdf: Path,
-    folder: Path | None,
+    out: Path | None,
     base: str | None,
     tip: str | None,
     answers_file: Path | None,
@@ -34,52 +34,62 @@ def import_urdf(
     from zygos.urdf.chain import read_chain  # noqa: PLC0415
     from zygos.urdf.importing import arm_text, model_of  # noqa: PLC0415
 
-    if (folder is None) == (template is None):
-        raise ZygosError("nothing to write; remedy: give either -o FOLDER or --template ANSWERS.toml")
-    files = [template] if template else [folder / "arm.toml", folder / "model.toml"] if folder else []
+    arm_file, model_file = _files(out, template)
+    files = [file for file in (template, arm_file, model_file) if file]
     check_outputs([*files, json], [urdf, answers_file])
     for file in files:
-        if file and file.exists():
+        if file.exists():
             raise ZygosError(f"{file}: exists already; remedy: remove it, or name another place")
-    chain, inertials = read_chain(urdf, base, tip)
-    answers = Answers(answers_file, [hinge.name for hinge in chain.hinges])
+    chain, inertials = read_chain(urdf, base, tip, weighed=model_file is not None)
+    answers = Answers(
+        answers_file, [hinge.name for hinge in chain.hinges], driven=template is not None or model_file is not None
+    )
     if template:
         _write_template(template, answers, chain, json)
         return
     if sys.stdin.isatty():
         answers.ask()
+    assert arm_file is not None
     arm = answers.arm(chain)
-    model = model_of(chain, inertials, answers)
-    assert folder is not None
+    model = model_of(chain, inertials, answers) if model_file else None
     origin = f"From {urdf.name} by `zygos import`, and from answers for what a URDF does not contain."
     try:
-        save_model(model, folder / "model.toml")
-        write_text(folder / "arm.toml", arm_text(arm, origin))
-        load_model(folder / "model.toml").check_fits(load_arm(folder / "arm.toml"))
+        write_text(arm_file, arm_text(arm, origin))
+        checked = load_arm(arm_file)
+        if model and model_file:
+            save_model(model, model_file)
+            load_model(model_file).check_fits(checked)
     except ZygosError:
         for file in files:
-            if file:
-                file.unlink(missing_ok=True)
+            file.unlink(missing_ok=True)
         raise
     for line in chain.notes:
         note(f"note: {line}")
     if json != "-":
-        table_of_bodies(chain, model)
-        say(
-            f"{folder}: arm.toml and model.toml, {counted(len(chain.hinges), 'joint')}, "
-            f"{number(sum(body.mass.value for body in model.bodies))} kg without rotors"
-        )
+        weight = ""
+        if model:
+            table_of_bodies(chain, model)
+            weight = f", {number(sum(body.mass.value for body in model.bodies))} kg without rotors"
+        what = "arm.toml and model.toml" if model else "the arm file"
+        say(f"{out}: {what}, {counted(len(chain.hinges), 'joint')}{weight}")
     if json:
-        write_json(
-            json,
-            {
-                "arm": str(folder / "arm.toml"),
-                "model": str(folder / "model.toml"),
-                "joints": [hinge.name for hinge in chain.hinges],
-                "bodies": links_as_json(chain, model),
-                "notes": list(chain.notes),
-            },
-        )
+        content = {
+            "arm": str(arm_file),
+            "model": str(model_file) if model_file else None,
+            "joints": [hinge.name for hinge in chain.hinges],
+            "bodies": links_as_json(chain, model) if model else [],
+            "notes": list(chain.notes),
+        }
+        write_json(json, content)
+
+
+def _files(out: Path | None, template: Path | None) -> tuple[Path | None, Path | None]:
+    """The arm file and the model file that -o names; None: it is not written."""
+    if (out is None) == (template is None):
+        raise ZygosError("nothing to write; remedy: give either -o FOLDER or --template ANSWERS.toml")
+    if out is None:
+        return None, None
+    return (out, None) if out.suffix.lower() == ".toml" else (out / "arm.toml", out / "model.toml")
 
 
 def _write_template(template: Path, answers: Answers, chain: Chain, json: str | None) -> None:
@@ -97,7 +107,12 @@ def command(
     urdf: Annotated[Path, typer.Argument(metavar="ARM.urdf", help="The URDF of the arm.")],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FOLDER", help="The folder where arm.toml and model.toml are written."),
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="FOLDER",
+            help="The folder where arm.toml and model.toml are written, or ARM.toml: the arm file alone.",
+        ),
     ] = None,
     base: Annotated[
         str | None, typer.Option(metavar="LINK", help="The link at which the arm begins. Default: the root.")
@@ -116,7 +131,8 @@ def command(
     """Make arm.toml and model.toml from a URDF.
 
     Links at fixed joints, and branches outside the chain, are merged into the link that carries them. A URDF contains
-    no gears, rotors, springs, encoders, gyro and bus: these come from --answers, or are asked for at a terminal.
+    no gears, rotors, springs, encoders, gyro and bus: these come from --answers, or are asked for at a terminal. With
+    -o ARM.toml neither masses and inertias of the URDF nor rotors and springs are needed.
 
     Example: zygos import examples/urdf/arm.urdf --answers examples/urdf/answers.toml -o out/arm
     """

@@ -378,7 +378,8 @@ def _torque_unit(table: Table, unit: str, arm: Arm) -> float:
         return UNITS["torque"][unit]
     constant = table.number(
         "torque_constant",
-        "Torque of the motor for one ampere.",
+        'Torque for one ampere on the side that `at` names: that of the motor, or with at = "output" that of motor and '
+        "gear.",
         above=0.0,
         unit="Nm/A",
         otherwise=(

@@ -117,9 +117,10 @@ QUESTIONS = (_BASE, *_BUS, *_GYRO, _NODE, *_MOTOR, *_FLEXIBLE)
 class Answers:
     """The answers so far; `ask` adds to them."""
 
-    def __init__(self, path: Path | None, joints: Sequence[str]) -> None:
-        """Read `path` (None: no answers yet) for an arm with these joints. Errors: ZygosError for unknown keys and
-        joints."""
+    def __init__(self, path: Path | None, joints: Sequence[str], *, driven: bool = True) -> None:
+        """Read `path` (None: no answers yet) for an arm with these joints. driven: whether rotors and springs, which
+        only model.toml has, must be answered. Errors: ZygosError for unknown keys and joints."""
+        self.driven = driven
         self.file = path or Path("answers")
         self.joints = tuple(joints)
         top = Table.load(path) if path else Table({}, self.file)
@@ -142,7 +143,11 @@ class Answers:
         for joint in self.joints:
             values = self._of(joint)
             questions = (_NODE, *_MOTOR, *(() if values.get("flexible") is False else _FLEXIBLE))
-            found += [(joint, question) for question in questions if not _has(values, question)]
+            found += [
+                (joint, question)
+                for question in questions
+                if (self.driven or question.key not in _DRIVE) and not _has(values, question)
+            ]
         return found
 
     def ask(self) -> None:

@@ -10,7 +10,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from decimal import Decimal, InvalidOperation
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from zygos.model.model import Body, is_possible
 
 try:
     from lxml import etree
-    from urdf_parser_py.urdf import URDF, Inertia
+    from urdf_parser_py.urdf import URDF, Inertia, Link
     from urdf_parser_py.xml_reflection import core
 except ImportError as missing:
     raise ZygosError(f"URDF needs the package {missing.name}; remedy: {installs('urdf')}") from missing
@@ -35,7 +36,12 @@ Vector3 = tuple[float, float, float]
 
 _TURNING = ("revolute", "continuous")
 _LOOSE = ("floating", "planar")
-"""Joint types that move: a link on such a joint belongs to another body."""
+"""Types of joints that do not fix a link to the arm."""
+_WORLD = "world"
+"""A link that a joint may name although the file does not have it."""
+_ROUNDED = 0.05
+"""Largest share of a principal moment by which it may exceed the sum of the other two because of rounding: the
+resolution of two digits."""
 _READ = {"link": ("inertial",), "joint": ("origin", "axis", "parent", "child", "dynamics", "mimic")}
 """Elements that zygos reads. Nothing else is parsed, so that no mesh, plugin or transmission can cause an error."""
 
@@ -57,6 +63,8 @@ class Pose:
         return Pose(self.attitude.T, -self.attitude.T @ self.origin)
 
 
+_CORRECT = "correct its <inertia>: all must be positive, and none larger than the sum of the other two"
+_ARM_ALONE = "write the arm file alone, which needs no masses, with -o ARM.toml"
 _HERE = Pose(np.eye(3), np.zeros(3))
 
 
@@ -109,16 +117,21 @@ class Chain:
     """Content of the URDF that zygos does not use."""
 
 
-def read_chain(path: str | Path, base: str | None = None, tip: str | None = None) -> tuple[Chain, tuple[Inertial, ...]]:
+def read_chain(
+    path: str | Path, base: str | None = None, tip: str | None = None, *, weighed: bool = True
+) -> tuple[Chain, tuple[Inertial, ...]]:
     """Read the chain from link `base` (default: the root) to link `tip` (default: the end of the only chain), and the
-    inertials (N+1) of its segments with everything fixed to them.
+    inertials (N+1) of its segments with everything fixed to them; none if they are not to be weighed.
 
-    Errors: ZygosError for a file that is not a URDF or not a tree, a chain with joints that do not turn, physically
-    impossible links, and bodies without mass.
+    Errors: ZygosError for a file that is not a URDF or not a tree, a chain with joints that do not turn or that other
+    joints drive, physically impossible links, and bodies without mass.
     """
     tree = _Tree(Path(path))
     chain = tree.chain(base, tip)
-    return chain, tuple(tree.weigh(segment, base=index == 0) for index, segment in enumerate(chain.segments))
+    if not weighed:
+        return chain, ()
+    inertials = tuple(tree.weigh(segment, base=index == 0) for index, segment in enumerate(chain.segments))
+    return replace(chain, notes=(*chain.notes, *tree.rounded)), inertials
 
 
 def read_chain_of(path: str | Path, base: str, joints: Sequence[str]) -> Chain:
@@ -185,16 +198,17 @@ class _Tree:
         self.file = file
         root = _parse(file).getroot()
         self.limited = [joint.get("name") for joint in root.findall("joint") if joint.find("limit") is not None]
+        self.last_digits = {link.get("name"): _last_digit(link) for link in root.findall("link")}
+        self.rounded: list[str] = []
+        """Notes about inertias that were changed within their digits."""
         robot, self.complaints = _read(file, root)
         self.name: str = robot.name
         self.links: dict[str, Any] = self._by_name("link", robot.links)
         self.joints: dict[str, Any] = self._by_name("joint", robot.joints)
+        if _WORLD not in self.links and any(joint.parent == _WORLD for joint in robot.joints):
+            self.links[_WORLD] = Link(name=_WORLD)
+            self.complaints.append(f"the file has no link {_WORLD}, which is taken as an empty one")
         for joint in robot.joints:
-            if joint.mimic is not None:
-                raise self.error(
-                    f"joint {joint.name} mimics {joint.mimic.joint}: it has no motor of its own",
-                    'make it type="fixed", or remove <mimic>',
-                )
             for link in (joint.parent, joint.child):
                 if link not in self.links:
                     raise self.error(
@@ -211,17 +225,10 @@ class _Tree:
         if not self.links:
             raise self.error("has no <link>", "give a file with links and joints")
         roots = [link for link in self.links if link not in self.above]
-        if len(roots) > 1:
-            raise self.error(
-                f"the links {', '.join(roots)} have no parent: only one root is allowed", "connect them to the rest"
-            )
-        self.root = roots[0] if roots else ""
-        unreached = sorted(set(self.links) - self.beside(self.root, None)) if roots else sorted(self.links)
-        if unreached:
-            raise self.error(
-                f"the links {', '.join(unreached)} form a loop",
-                "give every link one parent, up to a root",
-            )
+        looped = sorted(set(self.links).difference(*(self.beside(root, None) for root in roots)))
+        if looped:
+            raise self.error(f"the links {', '.join(looped)} form a loop", "give every link one parent, up to a root")
+        self.roots = roots
 
     def error(self, wrong: str, remedy: str) -> ZygosError:
         return ZygosError(f"{self.file}: {wrong}; remedy: {remedy}")
@@ -255,7 +262,7 @@ class _Tree:
         for link, option in ((base, "--base"), (tip, "--tip")):
             if link is not None and link not in self.links:
                 raise self.error(f"{option}: there is no link {link}", _like(link, self.links))
-        base = base or self.root
+        base = base or (self._ancestors(tip)[0] if tip else self._only_root())
         path = self._path(base, tip or self._only_tip(base))
         hinges: list[Hinge] = []
         starts = [base]
@@ -270,6 +277,12 @@ class _Tree:
                     f"joint {joint.name} is {joint.type}: the joints of the chain must turn",
                     'make it type="fixed" if it does not move, or choose another chain with --base and --tip',
                 )
+            if joint.mimic is not None:
+                raise self.error(
+                    f"joint {joint.name} mimics {joint.mimic.joint}: it has no motor of its own, and coupled joints "
+                    "are not supported",
+                    'make it type="fixed", remove <mimic>, or choose another chain with --base and --tip',
+                )
             # a frame without a fixed joint before it has exactly the numbers of the file
             rpy = _rpy(pose.attitude) if between else _numbers(joint.origin.rpy if joint.origin else (0.0, 0.0, 0.0))
             hinges.append(Hinge(joint.name, self._axis(joint), _numbers(pose.origin), rpy))
@@ -282,7 +295,19 @@ class _Tree:
         names = {hinge.name for hinge in hinges}
         held: list[str] = []
         segments = tuple(self._segment(start, names, held) for start in starts)
-        return Chain(self.name, segments, tuple(hinges), tuple(self._notes(names, held)))
+        taken = {link for segment in segments for link in (segment.link, *segment.merged)}
+        apart = [link for link in self.links if link not in taken]
+        return Chain(self.name, segments, tuple(hinges), tuple(self._notes(names, held, apart)))
+
+    def _only_root(self) -> str:
+        """The root, if only one has joints."""
+        jointed = [root for root in self.roots if self._neighbours[root]] or self.roots
+        if len(jointed) > 1:
+            raise self.error(
+                f"the links {', '.join(jointed)} have no parent: there is more than one tree",
+                "choose the beginning of the arm with --base, or connect them",
+            )
+        return jointed[0]
 
     def _path(self, base: str, tip: str) -> list[Any]:
         joints: list[Any] = []
@@ -311,14 +336,17 @@ class _Tree:
         carrying = {link for joint in below for link in self._ancestors(joint.parent)}
         tips = [joint.child for joint in below if joint.child not in carrying]
         if len(tips) > 1:
+            shared = set.intersection(*(set(self._ancestors(tip)) for tip in tips))
+            parting = max(shared, key=lambda link: len(self._ancestors(link)))
             raise self.error(
-                f"the tree branches: moving joints end at the links {', '.join(tips)}",
-                "choose the end of the arm with --tip, and its beginning with --base",
+                f"the tree branches at link {parting}: moving joints end at the links {', '.join(tips)}",
+                f"choose the end of the arm with --tip, for instance --tip {parting}, and its beginning with --base",
             )
         return tips[0] if tips else base
 
     def _segment(self, start: str, hinges: set[str], held: list[str]) -> Segment:
-        """The link and everything fixed to it; moving joints outside the chain are fixed at zero."""
+        """The link and everything fixed to it; moving joints outside the chain are fixed at zero, and links behind
+        floating and planar joints are left out."""
         riders: list[tuple[str, Pose]] = []
         waiting: list[tuple[str, Pose, Any]] = [(start, _HERE, None)]
         while waiting:
@@ -326,15 +354,7 @@ class _Tree:
             if link != start:
                 riders.append((link, pose))
             for joint, other in self._neighbours[link]:
-                if joint is through or joint.name in hinges:
-                    continue
-                if joint.type in _LOOSE:
-                    heavy = [name for name in self.beside(other, joint) if self.links[name].inertial is not None]
-                    if heavy:
-                        raise self.error(
-                            f"joint {joint.name} is {joint.type}: nothing fixes {', '.join(sorted(heavy))} to the arm",
-                            "leave those links out of the file, or connect them with another joint type",
-                        )
+                if joint is through or joint.name in hinges or joint.type in _LOOSE:
                     continue
                 if joint.type != "fixed":
                     held.append(joint.name)
@@ -355,7 +375,7 @@ class _Tree:
         if total <= 0.0:
             raise self.error(
                 f"link {segment.link} has no mass, and nothing with mass is fixed to it",
-                "give it an <inertial>, or make a joint at one of its ends fixed",
+                f"give it an <inertial>, make a joint at one of its ends fixed, or {_ARM_ALONE}",
             )
         centre = parts[0][1] if len(parts) == 1 else np.sum([mass * place for mass, place, _ in parts], axis=0) / total
         # parallel axis theorem
@@ -364,7 +384,7 @@ class _Tree:
             raise self.error(
                 f"link {segment.link} with what is fixed to it has the principal moments "
                 f"{np.linalg.eigvalsh(tensor).tolist()} kg m^2, which no body can have",
-                "correct its <inertia>: all must be positive, and none larger than the sum of the other two",
+                f"{_CORRECT}, or {_ARM_ALONE}",
             )
         return Inertial(total, centre, tensor)
 
@@ -389,12 +409,29 @@ class _Tree:
             raise self.error(f"{where} has inertia but no mass", "give it a positive mass, or no <inertial>")
         # a point mass is allowed if something is fixed to it
         if np.any(tensor) and not is_possible(tensor):
-            raise self.error(
-                f"{where} has the principal moments {np.linalg.eigvalsh(tensor).tolist()} kg m^2, which no body can "
-                "have",
-                "correct its <inertia>: all must be positive, and none larger than the sum of the other two",
-            )
+            tensor = self._rounded(link.name, tensor)
         return mass, pose.origin, pose.attitude @ tensor @ pose.attitude.T
+
+    def _rounded(self, link: str, tensor: Array) -> Array:
+        """The nearest inertia (3, 3) that a body can have, where the given one breaks the triangle inequality by less
+        than its last digit."""
+        principal = np.linalg.eigvalsh(tensor)
+        excess = float(principal[2] - principal[0] - principal[1])
+        if principal[0] <= 0.0 or excess > min(self.last_digits[link], _ROUNDED * float(principal[2])):
+            raise self.error(
+                f"link {link} has the principal moments {principal.tolist()} kg m^2, which no body can have",
+                f"{_CORRECT}, or {_ARM_ALONE}",
+            )
+        # a body can have an inertia if its second moment of mass, tr(I)/2 E - I, is positive semi-definite
+        # (Wensing, Kim, Slotine, IEEE RA-L 3(1), 2018)
+        moments, axes = np.linalg.eigh(0.5 * np.trace(tensor) * np.eye(3) - tensor)
+        second: Array = (axes * np.maximum(moments, 0.0)) @ axes.T
+        self.rounded.append(
+            f"link {link}: the largest principal moment exceeded the sum of the other two by {excess:.2g} kg m^2, less "
+            "than the last digit of its <inertia>, and was rounded to that sum"
+        )
+        possible: Array = np.trace(second) * np.eye(3) - second
+        return possible
 
     def _pose(self, where: str, origin: Any) -> Pose:
         if origin is None:
@@ -410,8 +447,10 @@ class _Tree:
             raise self.error(f"joint {joint.name}: the axis {axis.tolist()} has no direction", "write a unit vector")
         return _numbers(axis if length == 1.0 else axis / length)
 
-    def _notes(self, hinges: set[str], held: list[str]) -> Iterator[str]:
+    def _notes(self, hinges: set[str], held: list[str], apart: list[str]) -> Iterator[str]:
         yield from self.complaints
+        if apart:
+            yield f"left out, because nothing fixes it to the arm: link {', '.join(apart)}"
         if held:
             yield f"outside the chain and fixed at zero: joint {', '.join(held)}"
         lossy = [
@@ -481,6 +520,20 @@ def _complaints() -> Iterator[list[str]]:
         yield found
     finally:
         core.on_error = usual
+
+
+def _last_digit(link: Any) -> float:
+    """The unit of the last digit of the coarsest entry of an <inertia>, kg m^2; 0 without entries that are not 0."""
+    steps = [0.0]
+    for text in (value for entry in link.iterfind("inertial/inertia") for value in entry.attrib.values()):
+        try:
+            written = Decimal(text.strip())
+        except InvalidOperation:
+            continue
+        exponent = written.as_tuple().exponent
+        if written and isinstance(exponent, int):
+            steps.append(10.0**exponent)
+    return max(steps)
 
 
 def _like(name: str, known: Iterable[str]) -> str:
