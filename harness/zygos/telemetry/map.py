@@ -73,6 +73,8 @@ class Place:
     """position, effort, x, y or z."""
     joint: str = ""
     """Its name in a JointState; empty for an Imu."""
+    publisher: str = ""
+    """Whose messages are taken; empty: all."""
 
     def __str__(self) -> str:
         """As in tables and messages."""
@@ -290,10 +292,18 @@ def _place(table: Table, quantity: Quantity, name: str) -> Place:
         "sensor_msgs/msg/Imu for the gyro.",
         otherwise="required where the input is an MCAP, refused elsewhere",
     )
+    publisher = ""
+    if table.has("publisher"):
+        publisher = table.text(
+            "publisher",
+            "Whose messages are taken, where several nodes publish the topic: frame_id of their headers, or the number "
+            "of their channel in the MCAP.",
+            otherwise="all",
+        )
     if quantity == "rate":
-        return Place(topic, name)
+        return Place(topic, name, publisher=publisher)
     joint = table.text("joint", "Name of the joint in the messages.", name, otherwise="its name in the arm file")
-    return Place(topic, _ROS_FIELDS[quantity], joint)
+    return Place(topic, _ROS_FIELDS[quantity], joint, publisher)
 
 
 def _unit(table: Table, quantity: Quantity, otherwise: str = "") -> str:
