@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from zygos.can.bus import check_log
+from zygos.can.run import find_arm
 from zygos.errors import ZygosError
 from zygos.files.tables import read_columns
+from zygos.telemetry.ros import check_mcap
 
 ROWS = "".join(f"{k},{k / 8},{-k}\n" for k in range(30))
 
@@ -78,10 +81,14 @@ def test_a_csv_that_is_binary_is_called_so(content: bytes, tmp_path: Path) -> No
         read_columns(tmp_path / "x.csv")
 
 
-def test_a_folder_is_called_so(tmp_path: Path) -> None:
-    (tmp_path / "run.csv").mkdir()
-    with pytest.raises(ZygosError, match=r"run\.csv: is a folder; remedy: give a file in it"):
-        read_columns(tmp_path / "run.csv")
+@pytest.mark.parametrize("name", ["run.csv", "run.blf", "run.mcap", "recording"])
+def test_a_folder_is_called_so(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(ZygosError, match=rf"{name}: is a folder; remedy: give a file in it"):
+        find_arm(tmp_path / name)
+    check = check_mcap if name.endswith(".mcap") else check_log
+    with pytest.raises(ZygosError, match=rf"{name}: is a folder"):
+        check(tmp_path / name)
 
 
 def test_numbers_of_a_csv(tmp_path: Path) -> None:

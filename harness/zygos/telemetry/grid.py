@@ -204,7 +204,8 @@ def check_span(spanned: float, held: float, mapping: Map) -> None:
     if spanned > SPAN_MAX * held:
         raise ZygosError(
             f"{mapping.clock.where}: the recording spans {spanned / held:.0f} times the time of its samples; remedy: "
-            "check the unit of the time, or cut the recording where its clock jumps"
+            "check the unit of the time, remove samples whose times are wrong, at the beginning for instance, or cut "
+            "the recording where its clock jumps"
         )
 
 
@@ -278,9 +279,11 @@ def _forwards(source: str, where: str, falls: NDArray[np.bool_]) -> None:
     """Refuse time stamps that decrease."""
     at = np.flatnonzero(falls)
     if len(at):
+        few = len(at) <= MANY_REPEATED * len(falls)  # the stamps are in order but for some that are wrong
         raise ZygosError(
-            f"{where}: the time of {source} goes backwards at sample {at[0] + 2} ({len(at)} times in all); remedy: "
-            "sort the recording, state the clock's modulo, or cut the recording there"
+            f"{where}: the time of {source} goes backwards at sample {at[0] + 2} ({counted(len(at), 'time')} in all); "
+            f"remedy: {'remove the samples there whose times are wrong' if few else 'sort the recording'}, state the "
+            "clock's modulo, or cut the recording there"
         )
 
 

@@ -519,7 +519,7 @@ def _column(path: Path, columns: Columns, name: str, where: str) -> NDArray[Any]
     if values.dtype.kind not in "iuf":
         raise ZygosError(
             f'{where}: column "{name}" of {path.name} has values that are not numbers ({_first_text(values)}); '
-            "remedy: export numbers, and a time in seconds"
+            "remedy: export numbers, and a time in seconds, or remove that row"
         )
     return values
 
