@@ -18,7 +18,7 @@ from cli_support import run
 from log_support import containers, write
 from numpy.typing import NDArray
 
-from conftest import EXAMPLE
+from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm
 from zygos.can import bus
 from zygos.errors import ZygosError
@@ -366,3 +366,24 @@ def test_a_log_under_another_suffix(written: str, arm: Arm, frames: Frames, tmp_
     for named in set(bus.LOG_SUFFIXES) - {written, ".mf4"}:
         (path := tmp_path / f"other{named}").write_bytes(content)
         nothing_to_read(path)
+
+
+def test_a_table_of_cycles_with_a_row_that_is_not_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The cycle is missing, and the answer is that of the table without it."""
+    telemetry, paper = ROOT / "examples" / "telemetry", ROOT / "examples" / "paper" / "arm.toml"
+    whole = tmp_path / "whole" / "run.csv"
+    options = ("--dbc", telemetry / "arm.dbc", "--map", telemetry / "map.toml", "--arm", paper)
+    assert run("convert", telemetry / "run.blf", *options, "-o", whole) == 0
+    lines = whole.read_text().splitlines(keepends=True)
+    short = [*lines[:700], ",".join(lines[700].split(",")[:7]) + "\n", *lines[701:]]
+    values = []
+    for name, rows, code in (("short", short, 4), ("without", lines[:700] + lines[701:], 0)):
+        table, numbers = whole.with_name(f"{name}.csv"), tmp_path / f"{name}.json"
+        table.write_text("".join(rows))
+        assert run("estimate", table, "-o", tmp_path / f"{name}.toml", "--json", numbers) == code
+        content = json.loads(numbers.read_text())
+        values.append(content["parameters"])
+        said = f"{table} has 7 of 11 columns in line 701, which is left out"
+        assert content["damage"] == ([said] if code else None)
+    assert values[0] == values[1]
+    assert f"warning: {tmp_path / 'whole' / 'short.csv'} has 7 of 11" in capsys.readouterr().err

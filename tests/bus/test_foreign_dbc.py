@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 import telemetry_support as foreign
@@ -116,3 +117,35 @@ def test_a_dbc_in_utf_8(tmp_path: Path) -> None:
     for encoding in ("utf-8", "utf-8-sig", "cp1252"):
         (tmp_path / "x.dbc").write_text(text, encoding=encoding)
         assert warnings(tmp_path / "x.dbc", tmp_path) == []
+
+
+MUX = """
+BO_ 1000 Mux: 4 Drive1
+ SG_ Which M : 0|8@1+ (1,0) [0|0] "" Recorder
+ SG_ Other m0 : 8|{}@1- (1,0) [0|0] "" Recorder
+ SG_ Torque m1 : 8|16@1- (1,0) [0|0] "mNm" Recorder
+ SG_ Overlap m1 : 16|16@1- (1,0) [0|0] "" Recorder
+"""
+
+
+@pytest.mark.parametrize("bits", [16, 40])
+def test_frames_with_other_signals_are_not_damaged(bits: int, tmp_path: Path) -> None:
+    """A multiplexed torque, between whose frames come those with another signal, which does not even fit."""
+    (tmp_path / "x.dbc").write_text(SOUND.read_text() + MUX.format(bits))
+    log = []
+    for message in can.LogReader(str(foreign.EXAMPLE / "run.blf")):
+        if message.arbitration_id == 785:
+            data = bytes(message.data)
+            torque = int.from_bytes(data, "big", signed=True) // 256
+            for which in (0, 1):
+                low = torque.to_bytes(2, "little", signed=True)
+                kind = {"arbitration_id": 1000, "is_extended_id": False, "timestamp": message.timestamp}
+                log.append(can.Message(data=bytes([which]) + low + b"\0", **kind))
+        log.append(message)
+    source = foreign.write(tmp_path / "x.blf", log)
+    changed = foreign.edited(foreign.EXAMPLE / "map.toml", tmp_path / "map.toml", ("Drive1Torque.Output", "Mux.Torque"))
+    files = ("--dbc", tmp_path / "x.dbc", "--map", changed, "--arm", PAPER / "arm.toml")
+    assert run("convert", source, *files, "-o", tmp_path / "r.npz", "--json", tmp_path / "c.json") == 0
+    report = json.loads((tmp_path / "c.json").read_text())
+    assert (report["cycles"], report["damaged_frames"]) == (1200, 0)
+    assert len(report["warnings"]) == 1 and "in message Mux; the map uses one of these" in report["warnings"][0]

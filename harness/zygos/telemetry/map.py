@@ -743,8 +743,8 @@ def read_can(
 
 
 def _only(message: Message, names: Collection[str]) -> Message:
-    """A message with these signals only, and with those that say which signals it has. Errors: ZygosError for one that
-    is too long, or for two that overlap."""
+    """A message with these signals, and with the multiplexers. Errors: ZygosError for a signal that is too long, or for
+    two that overlap."""
     signals = [signal for signal in message.signals if signal.name in names or signal.is_multiplexer]
     try:
         return Message(
@@ -755,9 +755,9 @@ def _only(message: Message, names: Collection[str]) -> Message:
 
 
 def _decode(message: Message, frame: can.Message) -> dict[str, Any] | None:
-    """Values by signal, or None for a frame that does not match the DBC."""
+    """Values by signal, of which a frame with other multiplexed signals has none; None: it does not match the DBC."""
     try:
         decoded = message.decode(bytes(frame.data), decode_choices=False)
-    except Exception:  # cantools and bitstruct raise different errors
-        return None
+    except Exception as error:  # cantools and bitstruct raise different errors
+        return {} if "multiplexer id" in str(error).lower() else None  # such a frame has other signals
     return decoded if isinstance(decoded, dict) else None
