@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import can
 import numpy as np
@@ -13,6 +15,7 @@ from cli_support import run
 
 from conftest import PAPER, ROOT, need
 from zygos.arm import load_arm
+from zygos.runs.cycles import Cycles
 from zygos.runs.tables import read_cycles
 
 CASES = ROOT.parent / "shared" / "cases"
@@ -25,12 +28,17 @@ def convert(dbc: Path, out: Path, *more: object) -> int:
     return run("convert", foreign.EXAMPLE / "run.blf", "--dbc", dbc, *files, "-o", out / "run.npz", *more)
 
 
+@cache
+def sound_run() -> Cycles:
+    with TemporaryDirectory() as folder:
+        assert convert(SOUND, Path(folder)) == 0
+        return read_cycles(Path(folder) / "run.npz", load_arm(PAPER / "arm.toml"))
+
+
 def warnings(dbc: Path, folder: Path) -> list[str]:
     """What is said of a DBC that is read; the run must be that of the sound DBC."""
     assert convert(dbc, folder / "own", "--json", folder / "c.json") == 0
-    assert convert(SOUND, folder / "sound") == 0
-    arm = load_arm(PAPER / "arm.toml")
-    own, sound = (read_cycles(folder / name / "run.npz", arm) for name in ("own", "sound"))
+    own, sound = read_cycles(folder / "own" / "run.npz", load_arm(PAPER / "arm.toml")), sound_run()
     np.testing.assert_array_equal(own.q, sound.q)
     np.testing.assert_array_equal(own.tau, sound.tau)
     found: list[str] = json.loads((folder / "c.json").read_text())["warnings"]

@@ -297,7 +297,7 @@ def test_an_unknown_engine_is_refused() -> None:
 def test_an_engine_that_is_not_installed_is_named(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, f"zygos.dynamics.engines.{name}", raising=False)
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ZygosError, match=rf"engine {name}.*remedy: pip install 'zygos\[engines\]'"):
+    with pytest.raises(ZygosError, match=rf"engine {name}.*remedy: .* -m pip install 'zygos\[engines\]'"):
         engine(name, *lively()[:2])
 
 
