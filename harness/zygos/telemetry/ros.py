@@ -121,9 +121,9 @@ class _Taken:
                 if value is None:
                     lacks = f"have {len(names)} joints and {len(listed)} values of {place.field}; remedy: record the "
                     lacking[place.joint] = f"{lacks}{place.field} of every joint"
+        self.left_out["messages without a value"] += bool(lacking)
         for joint, found in values.items():
             if joint in lacking:
-                self.left_out["messages without a value"] += 1
                 self.lacking |= dict.fromkeys(found, lacking[joint])
                 continue
             for source, value in found.items():
