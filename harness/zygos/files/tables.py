@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import os
 import re
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.errors import ZygosError, installs
+from zygos.files import inputs
 from zygos.files.inputs import check_file, local, suffix
 from zygos.files.output import cannot_be_written, counted
 
@@ -159,6 +159,9 @@ def _read_csv(path: Path, damage: list[str]) -> Columns:
                 rows.append(row)
             else:
                 odd.append((line, len(row)))
+    if inputs.is_cut(path):
+        rows = rows[:-1]  # its last number may be cut
+        damage.append("is compressed, and its end is missing")
     if odd:
         line, count = odd[0]
         others = f", and {counted(len(odd) - 1, 'row')} after it do not have {form.width}" if odd[1:] else ""
@@ -200,21 +203,15 @@ def _numbers(texts: Sequence[str], decimal_comma: bool) -> NDArray[Any]:
 
 
 def _encoding(path: Path) -> str:
-    """Of a CSV, from its first bytes. Errors: ZygosError where it is no text."""
+    """Of a CSV. Errors: ZygosError where it is no text."""
+    found = inputs.encoding(path)
     with local(path).open("rb") as stream:
-        begin = stream.read(_LINE)
-    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    if b"\0" in begin[:_HEAD]:
-        raise ZygosError(
-            f"{path}: is not text, but binary; remedy: export it as text, or, if it has another format, give it the "
-            "suffix of that"
-        )
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(begin)  # a character may be cut at the end
-    except UnicodeDecodeError:
-        return "cp1252"
-    return "utf-8-sig"
+        if not found.startswith("utf-16") and b"\0" in stream.read(_HEAD):
+            raise ZygosError(
+                f"{path}: is not text, but binary; remedy: export it as text, or, if it has another format, give it "
+                "the suffix of that"
+            )
+    return found
 
 
 def _csv_form(path: Path) -> _CsvForm:

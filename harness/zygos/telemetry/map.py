@@ -29,6 +29,7 @@ from zygos.files.inputs import check_file, local
 from zygos.files.output import counted, is_dash
 from zygos.files.tables import Columns, read_columns
 from zygos.files.toml import Table
+from zygos.runs.span import span
 
 Floats = NDArray[np.float64]
 Quantity = Literal["angle", "torque", "rate", "time"]
@@ -105,6 +106,18 @@ class Channel:
     """File and key in the map, for error messages."""
     place: Place | None = None
     """Of a channel in an MCAP."""
+    in_message: bool = False
+    """Whether the source is a signal of a CAN message."""
+    scale: float = 1.0
+    """Units of the map for one step of the source."""
+    turn: float = math.inf
+    """Steps of the source for one turn of the angle; infinite where it is no angle."""
+    modulo: float | None = None
+    """Steps of the source after which the angle starts again, if the map says so."""
+    missing: float | None = None
+    """Value of the source that means that there is none."""
+    delay_s: float = 0.0
+    """Time from the measurement to its stamp."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +162,8 @@ class SourceSamples:
     stamp: Floats
     """(n,) time after the first value of the recording, s: when it was received, or as its message says; NaN in a
     table."""
+    width: float | None = None
+    """Of an integer signal of a DBC: the number after which it starts again."""
 
 
 @dataclass(frozen=True)
@@ -166,6 +181,8 @@ class Recording:
     """Number of frames that the DBC could not decode."""
     missing: tuple[str, ...] = ()
     """Sentences about what is missing in a damaged file, each beginning with its name."""
+    remarks: tuple[str, ...] = ()
+    """Sentences about what else is unusual in a log, likewise."""
     left_out: tuple[tuple[str, int], ...] = ()
     """What was left out on reading, and how often."""
     warnings: tuple[str, ...] = ()
@@ -235,6 +252,7 @@ def read_map(top: Table, arm: Arm, kind: Input) -> Map:
     _check_once(channels)
     clock = _clock(top.table("time", "What says when a value was measured."), arm, kind)
     top.finish()
+    _check_delays(channels, clock, kind)
     return Map(clock, tuple(channels))
 
 
@@ -247,6 +265,17 @@ def _check_once(channels: Sequence[Channel]) -> None:
             raise ZygosError(
                 f"{channel.where}: {channel.source} is already that of {other.label}; remedy: name the source of "
                 f"{channel.label}, or correct that of {other.label}"
+            )
+
+
+def _check_delays(channels: Sequence[Channel], clock: Clock, kind: Input) -> None:
+    """Refuse a delay where nothing can be moved in time."""
+    for channel in channels:
+        if channel.delay_s and clock.kind == "sync":
+            other = '"column", column and unit' if kind == "table" else '"receive", without signal and modulo'
+            raise ZygosError(
+                f'{channel.where}.delay_s: with source = "sync" values are not interpolated, and cannot be moved in '
+                f'time; remedy: write in [time] source = {other}, and interpolation = "cubic"'
             )
 
 
@@ -353,6 +382,25 @@ def _channel(
         raise table.error("scale", "is 0", "write the units per value of the source")
     if sign == 0:
         raise table.error("sign", "is 0", "write 1 or -1")
+    delay_s = table.number(
+        "delay_s", "Time from the measurement to its stamp. It is subtracted from the stamps.", 0.0, unit="s"
+    )
+    missing = modulo = None
+    if table.has("missing"):
+        missing = table.number(
+            "missing",
+            "Value of the source that means that there is none. Such samples are left out, with the rest of their "
+            "message or row.",
+            otherwise="every value is one",
+        )
+    if quantity == "angle" and table.has("modulo"):
+        modulo = table.number(
+            "modulo",
+            "Number of units after which the angle starts again.",
+            above=0.0,
+            unit=unit,
+            otherwise="the width of an integer signal in the DBC; elsewhere the angle does not start again",
+        )
     # angles and torques may be given on either side of the gear; `Cycles` has angles after it and torques before it
     if quantity == "torque":
         geared = _beyond_gear(table, arm)
@@ -363,8 +411,25 @@ def _channel(
         )
     factor = sign * si / (arm.joints[index].gear_ratio if geared else 1.0)
     table.finish()
-    where = f"{table.file}: {table.where}"
-    return Channel(label, field, index, quantity, source, unit, factor * scale, factor * offset, bare, where, place)
+    return Channel(
+        label,
+        field,
+        index,
+        quantity,
+        source,
+        unit,
+        factor * scale,
+        factor * offset,
+        bare,
+        f"{table.file}: {table.where}",
+        place,
+        in_message=kind == "log",
+        scale=abs(scale),
+        turn=2 * math.pi / abs(si * scale) if quantity == "angle" else math.inf,
+        modulo=None if modulo is None else modulo / abs(scale),
+        missing=missing,
+        delay_s=delay_s,
+    )
 
 
 def _torque_unit(table: Table, unit: str, arm: Arm) -> float:
@@ -493,12 +558,15 @@ def read_table(path: Path, mapping: Map) -> Recording:
             f"{mapping.clock.where}: column {mapping.clock.source} of {path.name} has no value; remedy: name the "
             "column of the time"
         )
+    modulo = mapping.clock.modulo
     clock = (raw[timed] - raw[timed][0]).astype(np.float64)  # ns since 1970 have more digits than a float can store
+    kept = span().rows(path, (clock if modulo is None else np.unwrap(clock, period=modulo)) * mapping.clock.unit_s)
+    clock = clock[kept] - clock[kept][0]
     nowhere = np.full(len(clock), np.nan)
     rows = np.arange(len(clock))
     sources = {
         channel.source: SourceSamples(
-            _column(path, columns, channel.source, channel.where)[timed].astype(np.float64), rows, nowhere
+            _column(path, columns, channel.source, channel.where)[timed][kept].astype(np.float64), rows, nowhere
         )
         for channel in mapping.channels
     }
@@ -506,7 +574,7 @@ def read_table(path: Path, mapping: Map) -> Recording:
         sources,
         clock,
         nowhere,
-        mapping.clock.modulo,
+        modulo,
         missing=tuple(f"{path} {text}" for text in damage),
         left_out=(("rows without time", int(np.count_nonzero(~timed))),),
     )
@@ -684,19 +752,22 @@ def read_can(
         other[1].add(signal.name)
         return signal
 
+    widths: dict[str, float | None] = {}
     for channel in mapping.channels:
-        _check_unit(channel, want(channel.source, channel.where))
+        signal = want(channel.source, channel.where)
+        _check_unit(channel, signal)
+        widths[channel.source] = _width(signal)
     if clock.source:
-        signal = want(clock.source, clock.where)
-        if modulo is None and not signal.is_float:
-            modulo = 2.0**signal.length * abs(float(signal.scale))
+        width = _width(want(clock.source, clock.where))
+        modulo = modulo or width
     needed = {key: _only(message, names) for key, (message, names) in wanted.items()}
     values: dict[str, list[tuple[float, int, float]]] = {channel.source: [] for channel in mapping.channels}
     ticks: list[tuple[float, float]] = []
     damaged = 0
     missing: list[str] = []
+    remarks: list[str] = []
     begin: float | None = None
-    for message_in in bus.read_messages(path, missing, progress):
+    for message_in in bus.read_messages(path, missing, progress, remarks):
         key = (message_in.arbitration_id, message_in.is_extended_id)
         if key not in wanted or message_in.is_error_frame or message_in.is_remote_frame:
             continue
@@ -724,9 +795,13 @@ def read_can(
                 + (f" ({damaged} frames could not be decoded)" if damaged else "")
                 + "; remedy: compare the DBC's identifiers with the log"
             )
+    _check_stamps(path, clock, begin)
     sources = {
         source: SourceSamples(
-            np.array([v for v, _, _ in rows]), np.array([g for _, g, _ in rows]), np.array([s for _, _, s in rows])
+            np.array([v for v, _, _ in rows]),
+            np.array([g for _, g, _ in rows]),
+            np.array([s for _, _, s in rows]),
+            widths[source],
         )
         for source, rows in values.items()
     }
@@ -738,8 +813,18 @@ def read_can(
         modulo,
         damaged,
         tuple(f"{path} {text}" for text in missing),
+        tuple(f"{path} {text}" for text in remarks),
         warnings=tuple(dictionary.warnings({message.name for message, _ in wanted.values()})),
     )
+
+
+def _check_stamps(path: Path, clock: Clock, begin: float | None) -> None:
+    """Refuse a log without time stamps where these are the clock."""
+    if clock.stamped and math.isnan(begin or 0.0):
+        raise ZygosError(
+            f"{path}: has no time stamps, which [time] of the map asks for; remedy: record them (candump -L; slcan: "
+            "Z1), or name a time or a counter in the telemetry"
+        )
 
 
 def _only(message: Message, names: Collection[str]) -> Message:
@@ -752,6 +837,11 @@ def _only(message: Message, names: Collection[str]) -> Message:
         )
     except cantools.Error as error:
         raise ZygosError(f"the DBC is wrong: {_sentence(error)}; remedy: correct that message in the DBC") from error
+
+
+def _width(signal: Any) -> float | None:
+    """Number after which an integer signal starts again, in its unit; None for a float."""
+    return None if signal.is_float else 2.0**signal.length * abs(float(signal.scale))
 
 
 def _decode(message: Message, frame: can.Message) -> dict[str, Any] | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from zygos.errors import ZygosError, installs
 from zygos.files.inputs import check_file, suffix
+from zygos.runs.span import span
 from zygos.telemetry.map import Channel, Clock, Map, Recording, SourceSamples, closest
 
 _TYPES = {"JointState": "sensor_msgs/msg/JointState", "Imu": "sensor_msgs/msg/Imu"}
@@ -182,8 +183,14 @@ def read_mcap(path: Path, mapping: Map, progress: Callable[[int], None] | None =
             if progress is not None and count % 5000 == 0:
                 progress(count)
     _check_found(path, topics, taken, known, damage)
-    rows = {channel.source: _of_one(path, channel, taken.rows[channel.source]) for channel in mapping.channels}
-    begin = min(listed[0].stamp for listed in rows.values())
+    stamps = [row.stamp for listed in taken.rows.values() for row in listed]
+    begin, last = min(stamps), max(stamps)
+    rows = {}
+    for channel in mapping.channels:
+        held = [row for row in taken.rows[channel.source] if span().holds(1e-9 * (row.stamp - begin))]
+        if not held:
+            raise span().nothing(path, 1e-9 * (last - begin))
+        rows[channel.source] = _of_one(path, channel, held)
     sources = {
         source: SourceSamples(
             np.array([row.value for row in listed]),

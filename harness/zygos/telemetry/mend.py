@@ -1,0 +1,287 @@
+"""Samples of a recording that no arm could have produced between their neighbours.
+
+Angles that start again are unwrapped. Samples that lie off are left out, with the rest of their message or row. What
+neither explains is refused, because it would be averaged with the others. docs/telemetry.md, "Impossible samples".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos import limits
+from zygos.errors import ZygosError
+from zygos.files.output import counted
+from zygos.runs.outliers import code_of, outliers, steps_off, two_courses
+from zygos.telemetry.map import Channel, Map, Recording, SourceSamples
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+_GAP = 2.5
+"""Usual intervals above which a step is that of a gap, whose motion is not small."""
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A recording without impossible samples."""
+
+    recording: Recording
+    turns: dict[str, int]
+    """By source: how often its angle started again."""
+    left_out: dict[str, int]
+    """By source: number of samples that were left out."""
+    warnings: tuple[str, ...]
+
+
+def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: dict[str, float]) -> Mended:
+    """Unwrap angles, and leave out samples that lie off, with the rest of their message or row.
+
+    times: by source, when its samples were taken, s. sigma: by source, the declared standard deviation, SI units.
+    Errors: ZygosError for steps of an angle that no motion and no modulo explain, for turns that cannot be counted, and
+    where so many samples lie off that two sources seem to send them.
+    """
+    off: dict[str, Places] = {}
+    warnings: list[str] = []
+    for channel in mapping.channels:
+        signal = _Signal(channel, recording.sources[channel.source], times[channel.source], sigma[channel.source])
+        off[channel.source] = signal.off()
+        warnings += signal.warnings
+    out = dict(recording.sources)
+    left_out: dict[str, int] = {}
+    for channels in _messages(mapping):
+        keys = {c.source: _keys(recording.sources[c.source]) for c in channels}
+        gone = np.unique(np.concatenate([keys[source][off[source]] for source in keys]))
+        for source, key in keys.items():
+            kept = ~np.isin(key, gone)
+            left_out[source] = int((~kept).sum())
+            one = out[source]
+            out[source] = replace(one, value=one.value[kept], group=one.group[kept], stamp=one.stamp[kept])
+            times = times | {source: times[source][kept]}
+    turns: dict[str, int] = {}
+    for channel in mapping.channels:
+        samples = out[channel.source]
+        signal = _Signal(channel, samples, times[channel.source], sigma[channel.source])
+        values, turns[channel.source] = signal.unwrapped()
+        warnings += signal.warnings
+        out[channel.source] = replace(samples, value=values)
+    return Mended(replace(recording, sources=out), turns, left_out, tuple(warnings))
+
+
+def _messages(mapping: Map) -> Iterator[list[Channel]]:
+    """The channels of each message, topic or table."""
+    by: dict[str, list[Channel]] = {}
+    for channel in mapping.channels:
+        name = channel.place.topic if channel.place else channel.source.partition(".")[0] if channel.in_message else ""
+        by.setdefault(name, []).append(channel)
+    yield from by.values()
+
+
+def _keys(samples: SourceSamples) -> Floats:
+    """(n,) what the samples of one message or row have in common: its stamp, or its number."""
+    return np.where(np.isfinite(samples.stamp), samples.stamp, samples.group)
+
+
+class _Signal:
+    """The samples of one channel, in the unit of the source."""
+
+    def __init__(self, channel: Channel, samples: SourceSamples, times: Floats, sigma: float) -> None:
+        self.channel = channel
+        self.samples = samples
+        self.warnings: list[str] = []
+        self.finite = np.flatnonzero(np.isfinite(samples.value))
+        self.x = samples.value[self.finite]
+        gaps = np.diff(times[self.finite])
+        usual = float(np.median(gaps)) if len(gaps) else 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            counts = np.round(gaps / usual)
+        self.intervals = np.where(np.isfinite(counts) & (counts > 1.0), counts, 1.0)
+        self.floor = sigma / abs(channel.gain)
+        self.modulo = (channel.modulo or samples.width) if channel.quantity == "angle" else None
+
+    def off(self) -> Places:
+        """Positions of the samples that lie off, or that mean no value. Errors: ZygosError where these are many."""
+        channel = self.channel
+        none = np.zeros(len(self.x), dtype=np.bool_)
+        if channel.missing is not None:
+            none = np.isclose(self.x, channel.missing, rtol=1e-9, atol=0.0)
+        valid = np.flatnonzero(~none)
+        x = self.x[valid]
+        if channel.quantity == "angle":
+            if self.modulo is not None:
+                x = _unwrap(x, self.modulo, np.ones(max(len(x) - 1, 0)))
+            found = outliers(x, self.floor, self._periods())
+            found = np.union1d(found, self._ends(x, np.delete(np.arange(len(x)), found)))
+        else:
+            found = _far(x, outliers(x, self.floor))
+        if len(found) <= limits.SECOND_SOURCE.value * len(x):
+            second = two_courses(x, self.floor)
+            sent = code_of(x[second]) is not None and code_of(np.delete(x, second)) is None
+            found = second if len(second) and (sent or channel.quantity == "angle") else found
+            often = _most_frequent(x)
+            if len(second) and 2 * len(often) > len(second):  # both courses have it where they cross
+                found = often
+        code = code_of(self.x[valid[found]])
+        if code is not None:
+            found = np.union1d(found, _short(self.x[valid] == code))  # also where the arm has this value
+        found = valid[found]
+        self._judge(found, code)
+        return self.finite[np.union1d(np.flatnonzero(none), found)]
+
+    def _ends(self, x: Floats, kept: Places) -> Places:
+        """The first or the last of the kept samples, if the others are somewhere else."""
+        n, size = len(kept), limits.OUTLIER_BURST.value
+        x = x[kept]
+        at = np.flatnonzero(steps_off(x, np.ones(max(n - 1, 0)), self.floor))
+        at = at[~self._turns(np.diff(x)[at])]
+        begin, end = at[at < size], at[at >= n - 1 - size]
+        return np.concatenate(
+            [kept[: begin.max() + 1] if len(begin) else kept[:0], kept[end.min() + 1 :] if len(end) else kept[:0]]
+        )
+
+    def _judge(self, found: Places, code: float | None) -> None:
+        """Name what lies off, and refuse it where it is much. code: the value of nearly all of it, if it is one."""
+        if not len(found):
+            return
+        channel = self.channel
+        said = (
+            f"{channel.source}: {counted(len(found), 'sample')} of {len(self.x):,} far from what the neighbours say, "
+            f"first {self._at(found[0])} ({self.x[found[0]]:.6g})"
+        )
+        constant = "" if code is None else f", most are {code:.6g}, as a second source or a code for no value sends it"
+        if len(found) <= limits.SECOND_SOURCE.value * len(self.x):
+            rest = "message" if channel.place or channel.in_message else "row"
+            self.warnings.append(f"{said}{constant}; left out, with the rest of the {rest}")
+            return
+        remedy = (
+            "stop one of them and record again"
+            if code is None
+            else f"write missing = {code:.10g} there, or record again"
+        )
+        raise ZygosError(f"{channel.where}: {said}{constant or ', as if two sources sent them'}; remedy: {remedy}")
+
+    def unwrapped(self) -> tuple[Floats, int]:
+        """(n,) the values without starting again, and how often they did.
+
+        Errors: ZygosError for a step that no motion and no modulo explain, and for turns that cannot be counted.
+        """
+        values = self.samples.value
+        if self.channel.quantity != "angle" or len(self.x) < 2:
+            return values, 0
+        x, modulo = self.x, self.modulo
+        jumps = steps_off(x, self.intervals, self.floor)
+        if modulo is not None:
+            turned = _unwrap(x, modulo, self.intervals)
+            left = np.where(jumps != 0.0, steps_off(turned, self.intervals, self.floor), 0.0)
+            if not np.any(self._turns(jumps) & (np.abs(left) > limits.TURN_NEAR.value * modulo)):
+                count = int(np.count_nonzero(np.round(np.diff(turned - x) / modulo)))
+                if not count:
+                    return values, 0
+                self._check_turns(turned, modulo)
+                out = values.copy()
+                out[self.finite] = turned
+                return out, count
+        self._check_jumps(x, jumps)
+        return values, 0
+
+    def _turns(self, steps: Floats) -> NDArray[np.bool_]:
+        """(m,) whether steps are those of an angle that starts again."""
+        near = [np.abs(np.abs(steps) - one) <= limits.TURN_NEAR.value * one for one in self._periods()]
+        out: NDArray[np.bool_] = np.any(near, axis=0)
+        return out
+
+    def _periods(self) -> list[float]:
+        """Numbers at which the angle may start again, in the unit of the source, the likeliest first."""
+        counts = [2.0**k / self.channel.scale for k in range(8, 33)] if self.channel.unit == "counts" else []
+        return [one for one in (self.modulo, self.channel.turn, self.samples.width) if one is not None] + counts
+
+    def _check_jumps(self, x: Floats, jumps: Floats) -> None:
+        """Refuse steps of an angle that no motion explains: those of an angle that starts again, and those of more than
+        a turn at once that are far above all others. Smaller ones are named."""
+        fast = np.percentile(np.abs(np.diff(x)) / self.intervals, 90)
+        near = self._turns(jumps)
+        far = (np.abs(jumps) > limits.OUTLIER.value * fast) & (jumps != 0.0)
+        at = np.flatnonzero(near | far)
+        if not len(at):
+            return
+        channel, k = self.channel, int(at[0])
+        size = float(np.median(np.abs(jumps[near] if near.any() else jumps[at])))
+        said = (
+            f"{channel.source} jumps in {counted(len(at), 'place')}, first {self._at(k + 1)} ({x[k]:.6g}, then "
+            f"{x[k + 1]:.6g}), which no motion does"
+        )
+        if not near.any() and np.all(np.abs(jumps[at]) < channel.turn):
+            self.warnings.append(f"{said}: check whether the angle was set anew there, or stood still before")
+            return
+        alike = np.all(np.abs(np.abs(jumps[at]) - size) < limits.TURN_NEAR.value * size)
+        remedy = "cut the recording there"
+        if near.any() or alike:
+            period = next((one for one in self._periods() if abs(size - one) <= limits.TURN_NEAR.value * one), size)
+            remedy = f"write modulo = {period * channel.scale:.12g} there if the angle starts again, else {remedy}"
+        stated = f" and modulo = {channel.modulo * channel.scale:.10g} does not explain" if channel.modulo else ""
+        raise ZygosError(f"{channel.where}: {said}{stated}; remedy: {remedy}")
+
+    def _check_turns(self, turned: Floats, modulo: float) -> None:
+        """Refuse turns that cannot be counted, because the angle moves too far between two samples."""
+        far = np.abs(np.diff(turned)) > limits.TURN_SURE.value * modulo * np.maximum(1.0, self.intervals / _GAP)
+        slopes = np.where(self.intervals > _GAP, 0.0, np.diff(turned))
+        reach = float(np.percentile(np.abs(slopes), 99))
+        far |= (self.intervals > _GAP) & (self.intervals * reach > modulo)
+        if np.any(far):
+            k = int(np.flatnonzero(far)[0])
+            raise ZygosError(
+                f"{self.channel.where}: {self.channel.source} moves so far {self._at(k + 1)}, since the sample before, "
+                "that its turns cannot be counted; remedy: record faster, record an angle that does not start again, "
+                "or cut the recording at the gap"
+            )
+
+    def _at(self, k: int) -> str:
+        """Where the k-th of the finite samples is in the recording."""
+        place = self.finite[k]
+        stamp = self.samples.stamp[place]
+        return f"at {stamp:.6g} s" if math.isfinite(stamp) else f"in row {int(self.samples.group[place]) + 1}"
+
+
+def _unwrap(x: Floats, modulo: float, intervals: Floats) -> Floats:
+    """(n,) an angle that does not start again: each step is the shortest, in a gap the one nearest to the motion on
+    both sides."""
+    steps = np.diff(x)
+    short = steps - modulo * np.round(steps / modulo)
+    for k in np.flatnonzero(intervals > _GAP):
+        sides = [part for part in (short[max(k - 5, 0) : k], short[k + 1 : k + 6]) if len(part)]
+        moved = intervals[k] * float(np.mean([np.median(part) for part in sides])) if sides else 0.0
+        short[k] = steps[k] - modulo * np.round((steps[k] - moved) / modulo)
+    turns = np.concatenate([[0.0], np.cumsum(np.round((short - steps) / modulo))])
+    out: Floats = x + modulo * turns
+    return out
+
+
+def _far(x: Floats, found: Places) -> Places:
+    """Of samples of a torque or a rate that lie off: those far outside of the range of all others, and those that have
+    one and the same value, as a code or a second source sends it. Others may be short strokes."""
+    if not len(found):
+        return found
+    others = np.delete(x, found)
+    low, high = float(others.min()), float(others.max())
+    outside = (x[found] < low - (high - low)) | (x[found] > high + (high - low))
+    out: Places = found[outside | (x[found] == code_of(x[found]))]
+    return out
+
+
+def _most_frequent(x: Floats) -> Places:
+    """Positions of the most frequent value, in runs that are no longer than a burst."""
+    sent, times = np.unique(x, return_counts=True)
+    return _short(x == sent[np.argmax(times)]) if len(x) else np.zeros(0, dtype=np.int64)
+
+
+def _short(same: NDArray[np.bool_]) -> Places:
+    """Positions in runs of equal values (n,) that are no longer than a burst."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+    runs = [
+        np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= limits.OUTLIER_BURST.value
+    ]
+    return np.concatenate(runs) if runs else np.zeros(0, dtype=np.int64)
