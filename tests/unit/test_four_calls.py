@@ -418,7 +418,10 @@ def test_a_flipped_bit_does_not_end_the_estimates_in_silence(path: str, in_place
     """The length of a pause, and sums of rows that the configuration does not have."""
     arm, motion = recording()
     arm = replace(arm, arc_max_s=6.0, impulse_arc_s=0.0, momentum_max_s=0.0)
-    loop, array = Loop(config_of(arm), in_place=in_place), native_cycles(again(arm, motion, 1, np.random.default_rng(8)))
+    loop, array = (
+        Loop(config_of(arm), in_place=in_place),
+        native_cycles(again(arm, motion, 1, np.random.default_rng(8))),
+    )
     for k in range(200):
         loop.cycle(array + k)
     *structs, member = path.split(".")
