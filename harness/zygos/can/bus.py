@@ -217,7 +217,7 @@ def read_messages(
     """
     check_log(path)
     try:
-        yield from _counted(salvage.messages(inputs.local(path), damage), progress)
+        yield from _counted(salvage.messages(path, damage), progress)
     except Exception as error:  # of the file, or of a reader at some unexpected kind of damage
         raise ZygosError(
             f"{path}: not a readable {inputs.suffix(path)} log ({type(error).__name__}: {error}); remedy: record it "

@@ -14,133 +14,12 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import can
 
+from zygos.can.texts import text_messages
+from zygos.files import inputs
 from zygos.files.output import counted
-
-_NO_IDENTIFIER = 1 << 29
-"""The smallest number that is too large for a CAN identifier."""
-_CANDUMP_ERROR = re.compile(r"\s*\S+\s+\S+\s+([23][0-9a-f]{7})#", re.IGNORECASE)
-"""candump marks error frames by bit 29 of the identifier; python-can's reader recognises only one class of them."""
-
-
-@dataclass(frozen=True)
-class _Text:
-    """A text format of logs."""
-
-    reader: Any
-    """The reader of python-can."""
-    silent: re.Pattern[str]
-    """Pattern of intact lines that hold no frame."""
-
-
-_TEXTS = {
-    ".log": _Text(can.CanutilsLogReader, re.compile(r"\s*$")),
-    ".asc": _Text(
-        can.ASCReader,
-        # Many kinds of events begin with a time stamp. A line that looks like a frame has to be one.
-        re.compile(
-            r"\s*($|//|(date|base|((no\s+)?internal)|previous|begin|end)\b"
-            r"|\d+\.\d+\s+(.*J1939|(?!\d+\s+[0-9a-f]+x?\s)(?!.*\s[RT]x\s+[dr]\s)))",
-            re.IGNORECASE,
-        ),
-    ),
-    ".trc": _Text(can.TRCReader, re.compile(r"\s*($|;|.*\s(ST|EC|ER|EV|Warng|Error)\s)")),
-}
-
-
-class _Lines:
-    """The lines of a text log as a file object, from which a reader of python-can reads."""
-
-    def __init__(self, stream: Iterator[str], silent: re.Pattern[str]) -> None:
-        self._stream = stream
-        self._silent = silent
-        self._offered = 0
-        """How often the reader got the current line without returning a frame for it; 0: the line is finished."""
-        self.line = ""
-        self.number = 0
-        self.bad: list[int] = []
-        """Numbers of the lines that should hold a frame but do not."""
-        self.cut = False
-        """Whether the last line lacks its line end."""
-        self.begun = False
-        """Whether a Begin TriggerBlock of an .asc file has no End TriggerBlock yet."""
-        self.over = False
-
-    def __iter__(self) -> Iterator[str]:
-        return self
-
-    def __next__(self) -> str:
-        """The next line. A line that gave no frame is given twice, because the .asc reader skips the one after a
-        header."""
-        if self._offered == 2:
-            self.refuse()
-        if self._offered:
-            self._offered += 1
-            return self.line
-        self._advance()
-        while "\0" in self.line:  # a disk returns zeros for a lost sector, which joins the lines on both sides
-            self.bad.append(self.number)
-            self._advance()
-        silent = self._silent.match(self.line) is not None
-        self.cut = not self.line.endswith("\n") and not silent
-        self.over = not self.line or self.cut
-        if self.over:
-            raise StopIteration
-        self._offered = 0 if silent else 1
-        words = self.line.lower().split(maxsplit=2)
-        if words[1:2] == ["triggerblock"]:
-            self.begun = words[0] == "begin"
-        return self.line
-
-    def _advance(self) -> None:
-        self.line = next(self._stream, "")
-        self.number += 1
-
-    def answer(self) -> None:
-        """Record that the line gave a frame."""
-        self._offered = 0
-
-    def refuse(self) -> None:
-        """Record that the line gave no frame although it should."""
-        if not self.over:
-            self.bad.append(self.number)
-        self._offered = 0
-
-    def close(self) -> None:
-        """Do nothing; readers of python-can close their file."""
-
-
-def _text(path: Path, damage: list[str]) -> Iterator[can.Message]:
-    """Read line by line. After a line that it cannot read, the reader continues with the next and keeps the header."""
-    kind = _TEXTS[path.suffix.lower()]
-    with path.open(encoding="utf-8-sig", errors="replace") as stream:
-        lines = _Lines(stream, kind.silent)
-        reader = kind.reader(lines)
-        while not lines.over:
-            try:
-                for message in reader:
-                    if not 0 <= message.arbitration_id < _NO_IDENTIFIER:
-                        lines.refuse()
-                        continue
-                    lines.answer()
-                    error = kind.reader is can.CanutilsLogReader and _CANDUMP_ERROR.match(lines.line)
-                    if error:
-                        message.is_error_frame = True
-                        message.arbitration_id = int(error[1], 16) % _NO_IDENTIFIER
-                    yield message
-            except Exception:  # each reader raises different errors
-                lines.refuse()
-    if lines.bad:
-        others = f" nor in {counted(len(lines.bad) - 1, 'line')} after it" if len(lines.bad) > 1 else ""
-        damage.append(f"has no frame in line {lines.bad[0]:,}{others}")
-    if lines.cut:
-        damage.append(f"ends in the middle of line {lines.number:,}, which is left out")
-    elif lines.begun:
-        damage.append("ends without its end mark, End TriggerBlock")
-
 
 _MARK = b"LOBJ"
 _CONTAINER, _FRAMES = 10, frozenset({1, 73, 86, 100, 101})
@@ -296,6 +175,11 @@ def messages(path: Path, damage: list[str]) -> Iterator[can.Message]:
 
     Only compressed parts have a checksum. Errors inside a frame elsewhere are left for the receiver to detect.
     """
-    suffix = path.suffix.lower()
+    suffix = inputs.suffix(path)
     with _silence():
-        yield from (_blf if suffix == ".blf" else _mf4 if suffix == ".mf4" else _text)(path, damage)
+        if suffix in (".blf", ".mf4"):
+            yield from (_blf if suffix == ".blf" else _mf4)(inputs.local(path), damage)
+        else:
+            yield from text_messages(path, damage)
+    if inputs.is_cut(path):
+        damage.append("is compressed, and its end is missing")

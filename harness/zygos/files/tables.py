@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import os
 import re
@@ -16,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.errors import ZygosError
-from zygos.files.inputs import local, suffix
+from zygos.files.inputs import encoding as text_encoding
+from zygos.files.inputs import is_cut, local, suffix
 from zygos.files.output import cannot_be_written
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".npz")
@@ -41,9 +41,11 @@ def is_table(path: Path) -> bool:
 
 
 def check_table(path: Path) -> None:
-    """Refuse a table that does not exist."""
+    """Refuse a table that does not exist, or whose compression breaks off."""
     if not local(path).is_file():
         raise ZygosError(f"{path}: no such file; remedy: give a table ({' '.join(TABLE_SUFFIXES)}) that exists")
+    if is_cut(path):
+        raise ZygosError(f"{path}: is compressed, and its end is missing; remedy: copy it again")
 
 
 def read_columns(path: Path) -> Columns:
@@ -164,24 +166,11 @@ class _CsvForm:
     """Whether the first row has the names of the columns."""
 
 
-def _encoding(path: Path) -> str:
-    """Of a CSV, from its first bytes."""
-    with local(path).open("rb") as stream:
-        begin = stream.read(_LINE)
-    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(begin)  # a character may be cut at the end
-    except UnicodeDecodeError:
-        return "cp1252"
-    return "utf-8-sig"
-
-
 def _csv_form(path: Path) -> _CsvForm:
     """How a CSV is written, from its first lines: the separator is the one that divides the first two lines into
     equally many fields, and a first row of numbers alone has no names. Errors: ZygosError where columns are separated
     by spaces, where they begin further down, and for commas that are both separators and decimal marks."""
-    encoding = _encoding(path)
+    encoding = text_encoding(path)
     with local(path).open(encoding=encoding, errors="replace", newline="") as stream:
         lines = [line.rstrip("\r\n") for line in islice(iter(lambda: stream.readline(_LINE), ""), _EXAMINED)]
     lines = [line for line in lines if line.strip()]

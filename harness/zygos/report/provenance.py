@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from zygos.files.inputs import local
+from zygos.files.inputs import given
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Provenance:
 
 def provenance(command: Sequence[str], files: Sequence[tuple[str, Path]]) -> Provenance:
     """That of a command, its arguments without `zygos`, and of the files that it reads: role and path."""
-    hashed = ((role, str(path), hashlib.sha256(local(path).read_bytes()).hexdigest()) for role, path in files)
+    hashed = ((role, str(path), hashlib.sha256(given(path).read_bytes()).hexdigest()) for role, path in files)
     return Provenance(shlex.join(["zygos", *command]), version("zygos"), tuple(hashed))
 
 
