@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 import threading
 import time
@@ -24,6 +25,7 @@ from zygos.errors import ZygosError
 from zygos.files import inputs
 from zygos.files.output import cannot_be_written, is_dash, write_bytes
 from zygos.native.flight import FRAME
+from zygos.runs.span import WHOLE, span
 
 LOG_SUFFIXES = (".log", ".blf", ".asc", ".trc", ".mf4")
 """Formats in which python-can stores classical frames without loss."""
@@ -171,6 +173,59 @@ def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
     recording.finish()
 
 
+_NEAR = 1000
+"""Number of frames within which two interfaces record the same frame."""
+
+
+def _one_bus(messages: Iterable[can.Message], remarks: list[str]) -> Iterator[can.Message]:
+    """Messages without the copies of those that another interface, or the sender's echo, had recorded before.
+
+    Two interfaces at one bus record every frame twice, and the receiver would take the second for a repetition. What
+    was left out is appended to remarks.
+    """
+    recent: dict[tuple[Any, ...], tuple[int, set[tuple[Any, bool]]]] = {}
+    names: dict[tuple[Any, bool], int] = {}
+    copies = 0
+    for count, message in enumerate(messages):
+        own = (message.channel, message.is_rx)
+        names[own] = names.get(own, 0) + 1
+        if len(names) > 1 or count < _NEAR:
+            content = bytes(message.data or b"")
+            key = (message.arbitration_id, message.is_extended_id, message.is_error_frame, message.is_fd, content)
+            before, seen = recent.get(key, (-_NEAR, set()))
+            if count - before < _NEAR and own not in seen:
+                seen.add(own)
+                copies += 1
+                continue
+            recent[key] = (count, {own})
+            if len(recent) > 2 * _NEAR:
+                recent = {one: entry for one, entry in recent.items() if count - entry[0] < _NEAR}
+        yield message
+    if copies:
+        listed = ", ".join(f"{channel} ({'Rx' if rx else 'Tx'})" for channel, rx in names)
+        remarks.append(
+            f"holds what several interfaces recorded ({listed}): {copies:,} frames are copies and are left out"
+        )
+
+
+def _within(path: Path, messages: Iterable[can.Message]) -> Iterator[can.Message]:
+    """The messages in the span that is read."""
+    wanted = span()
+    if wanted == WHOLE:
+        yield from messages
+        return
+    begin, last_s, found = math.nan, 0.0, False
+    for message in messages:
+        begin = message.timestamp if math.isnan(begin) else begin
+        time_s = message.timestamp - begin
+        last_s = max(last_s, time_s)
+        if wanted.holds(time_s):
+            found = True
+            yield message
+    if not found or not last_s > 0.0:
+        raise wanted.nothing(path, last_s)
+
+
 def _counted(messages: Iterable[can.Message], progress: Callable[[int], None] | None) -> Iterator[can.Message]:
     for count, message in enumerate(messages, start=1):
         if progress is not None and count % 5000 == 0:
@@ -186,6 +241,8 @@ class Log:
     """`FRAME` records (n,) in file order."""
     damage: tuple[str, ...]
     """Sentences about what is missing, each beginning with the log's name; empty for a log that looks complete."""
+    remarks: tuple[str, ...] = ()
+    """Sentences about what else is unusual, likewise."""
 
 
 def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
@@ -195,7 +252,8 @@ def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
     missing, of no known kind, unreadable, or holds no frame.
     """
     damage: list[str] = []
-    frames = from_messages(read_messages(path, damage, progress))
+    remarks: list[str] = []
+    frames = from_messages(read_messages(path, damage, progress, remarks))
     if len(frames) == 0:
         if not damage:
             raise ZygosError(f"{path}: the log holds no frame; remedy: record while the bus is running")
@@ -204,20 +262,27 @@ def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
             f"{path}: nothing can be read, the log {damage[0]}; remedy: check that it is a {kind} log, and record it "
             "again"
         )
-    return Log(frames, tuple(f"{path} {text}" for text in damage))
+    return Log(frames, tuple(f"{path} {text}" for text in damage), tuple(f"{path} {text}" for text in remarks))
 
 
 def read_messages(
-    path: Path, damage: list[str], progress: Callable[[int], None] | None = None
+    path: Path,
+    damage: list[str],
+    progress: Callable[[int], None] | None = None,
+    remarks: list[str] | None = None,
 ) -> Iterator[can.Message]:
-    """The messages of any log that python-can can read; progress as in `read_log`.
+    """The messages of any log, in the span that is read (`zygos.runs.span`), each one once; progress as in `read_log`.
 
-    Descriptions of missing parts are appended to damage; each continues a sentence that begins with "the log". Raises
-    ZygosError when the file is missing, of no known kind, or unreadable.
+    Descriptions of missing parts are appended to damage, and of what else is unusual to remarks; each continues a
+    sentence that begins with "the log". Raises ZygosError when the file is missing, of no known kind, or unreadable, or
+    has nothing in the span.
     """
     check_log(path)
     try:
-        yield from _counted(salvage.messages(path, damage), progress)
+        messages = _one_bus(salvage.messages(path, damage), [] if remarks is None else remarks)
+        yield from _within(path, _counted(messages, progress))
+    except ZygosError:
+        raise
     except Exception as error:  # of the file, or of a reader at some unexpected kind of damage
         raise ZygosError(
             f"{path}: not a readable {inputs.suffix(path)} log ({type(error).__name__}: {error}); remedy: record it "

@@ -16,10 +16,12 @@ from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.errors import ZygosError
 from zygos.files.inputs import local
+from zygos.files.output import counted
 from zygos.files.tables import check_table, is_table
 from zygos.native.flight import Flight, encode, receivable
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import usable
+from zygos.runs.span import reading
 from zygos.runs.tables import read_cycles, write_cycles
 
 Array = NDArray[np.float64]
@@ -29,6 +31,16 @@ COMPARE_BUS = (
     "convert the log first (`zygos convert`)"
 )
 """What helps where no whole cycle of the arm came."""
+
+
+def of_fd(count: int) -> str:
+    """What to do about frames of CAN FD with identifiers of the arm."""
+    return (
+        f"{counted(count, 'frame')} of this arm are CAN FD, which is not read: send classical frames; where only the "
+        "recorder marks them so, remove the marks of a candump log (sed 's/##./#/')"
+    )
+
+
 _GAP_CYCLES = 3
 """Number of the first cycle of a run less that of the last cycle of the run before, where runs are joined."""
 
@@ -50,6 +62,8 @@ class Run:
     """The file that it was read from, if any."""
     damage: tuple[str, ...] = ()
     """What is missing of a damaged log, in sentences; empty for a whole one."""
+    remarks: tuple[str, ...] = ()
+    """What else is unusual in a log, in sentences."""
 
     @classmethod
     def of_cycles(cls, arm: Arm, cycles: Cycles) -> Run:
@@ -57,14 +71,14 @@ class Run:
         return cls(arm, encode(arm, cycles))
 
     @cached_property
-    def _received(self) -> tuple[Cycles, dict[str, int]]:
-        """The cycles, and the counters of the receiver's faults."""
+    def _received(self) -> tuple[Cycles, dict[str, int], int]:
+        """The cycles, the counters of the receiver's faults, and the number of frames of this arm that are CAN FD."""
         if self.table is not None:
-            return self.table, {}
+            return self.table, {}, 0
         flight = Flight(receivable(self.arm))
         trace = flight.frames(self.frames, trace=True) if self.frames is not None else None
         assert trace is not None
-        return trace.cycles, flight.faults
+        return trace.cycles, flight.faults, flight.counts["fd_frames"]
 
     @property
     def cycles(self) -> Cycles:
@@ -104,10 +118,12 @@ class Run:
     def check_cycles(self) -> None:
         """Refuse, with ZygosError, a run that has not one whole cycle of the arm."""
         if len(self) == 0:
-            seen = ", ".join(f"{name} {count:,}" for name, count in self.faults.items() if count)
+            _, faults, fd = self._received
+            seen = ", ".join(f"{name} {count:,}" for name, count in faults.items() if count)
+            none = "only frames of CAN FD came" if fd else "no frame of this arm came"
             raise ZygosError(
                 f"{self.path or 'the run'}: not one whole cycle of arm {self.arm.name} is in it "
-                f"({seen or 'no frame of this arm came'}); remedy: {COMPARE_BUS}"
+                f"({seen or none}); remedy: {of_fd(fd) if fd else COMPARE_BUS}"
             )
 
     def __len__(self) -> int:
@@ -142,21 +158,29 @@ def read_run(path: Path, arm: Arm, progress: Callable[[int], None] | None = None
     if is_table(path):
         return Run(arm, table=read_cycles(path, arm), path=path)
     log = bus.read_log(path, progress)
-    return Run(arm, log.frames, path=path, damage=log.damage)
+    return Run(arm, log.frames, path=path, damage=log.damage, remarks=log.remarks)
 
 
-def load_run(path: str | Path, arm: Arm | str | Path | None = None) -> Run:
+def load_run(
+    path: str | Path,
+    arm: Arm | str | Path | None = None,
+    *,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> Run:
     """Read a run: a CAN log (.log .blf .asc .trc .mf4) or a table of cycles (.npz .csv .parquet).
 
-    arm: the arm, or its file; None: arm.toml beside the run. Of a damaged log what can be read is read; `Run.damage`
-    and a Python warning say what is missing.
+    arm: the arm, or its file; None: arm.toml beside the run. from_s, to_s: the part to read, in s after the first
+    frame or row; None: from the beginning, or to the end. Of a damaged log what can be read is read; `Run.damage` and a
+    Python warning say what is missing.
 
     Errors: ZygosError when a file is missing, of no known kind, unreadable, empty, or does not fit the arm.
     """
     file = Path(path)
     known = arm if isinstance(arm, Arm) else load_arm(find_arm(file) if arm is None else arm)
-    run = read_run(file, known)
-    for text in run.damage:
+    with reading(from_s, to_s):
+        run = read_run(file, known)
+    for text in (*run.remarks, *run.damage):
         warnings.warn(text, stacklevel=2)
     return run
 

@@ -13,7 +13,7 @@ import typer
 from zygos.arm import Arm, load_arm
 from zygos.can.bus import check_log
 from zygos.can.load import LIMIT, OTHERS, Plan, Usage, exact_bits, plan, usage
-from zygos.cli.options import Json
+from zygos.cli.options import Json, cuts
 from zygos.cli.shared import not_whole, read_run
 from zygos.errors import Undecided, ZygosError
 from zygos.files.output import check_outputs, counted, note, number, say, table, write_json
@@ -130,6 +130,7 @@ def _remedy(planned: Plan, bitrate: int) -> str:
     return " or ".join([*ways, "fewer frames of attitude and telemetry"] if ways else ["fewer joints on this bus"])
 
 
+@cuts
 def command(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
     bitrate: Annotated[

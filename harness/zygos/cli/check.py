@@ -11,7 +11,7 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.options import ArmFile, Details, Json, Report, Run
+from zygos.cli.options import ArmFile, Details, Json, Report, Run, cuts
 from zygos.cli.shared import Wanted, deliver, not_whole, origin, read_run
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs
@@ -47,6 +47,7 @@ def check_run(
     not_whole(recorded.damage)
 
 
+@cuts
 def command(
     context: typer.Context,
     run: Run,

@@ -12,7 +12,7 @@ import typer
 from zygos.arm import load_arm
 from zygos.audit.check import check_arm
 from zygos.audit.sections import advice, answer_of, summary
-from zygos.cli.options import Details, Json, Report, Run
+from zygos.cli.options import Details, Json, Report, Run, cuts
 from zygos.cli.shared import Wanted, deliver, not_whole, origin, read_run
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs
@@ -39,6 +39,7 @@ def check_arm_run(arm_file: Path, run: Path, wanted: Wanted, command: Sequence[s
     not_whole(recorded.damage)
 
 
+@cuts
 def command(
     context: typer.Context,
     arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],

@@ -12,7 +12,7 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can import bus
-from zygos.cli.options import Json
+from zygos.cli.options import Json, cuts
 from zygos.cli.shared import not_whole, warn
 from zygos.errors import Undecided, ZygosError
 from zygos.files.inputs import local
@@ -87,7 +87,7 @@ def convert_run(
         frames = None if is_table(out) else encode(described, with_time(cycles))
         write_run(out, cycles, frames, arm.period_s, text, chosen)
         refused = refused_share(described, cycles, frames)
-    warn(recording.missing)
+    warn((*recording.remarks, *recording.missing))
     rows = signal_rows(recording, found, cycles, described, mapping, noise)
     warnings = warnings_of(arm, cycles, described, recording, found, out, refused)
     content: dict[str, Any] = {
@@ -209,6 +209,7 @@ def _judge(
         )
 
 
+@cuts
 def command(
     source: Annotated[
         Path,

@@ -14,7 +14,7 @@ from zygos.arm import load_arm
 from zygos.can.run import Run as RecordedRun
 from zygos.can.run import find_arm, joined
 from zygos.cli.estimated import finish_estimate, finish_ground, finish_payload
-from zygos.cli.options import ArmFile, Details, Json, Report, Runs
+from zygos.cli.options import ArmFile, Details, Json, Report, Runs, cuts
 from zygos.cli.shared import Wanted, check_model_name, not_whole, origin, read_runs
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
@@ -159,6 +159,7 @@ def _friction(run: RecordedRun, text: str) -> tuple[Effect, ...]:
     return tuple(found)
 
 
+@cuts
 def command(
     context: typer.Context,
     run: Runs,

@@ -13,7 +13,7 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import Run, check_distinct, find_arm, read_run
-from zygos.cli.options import ArmFile, Details, Json
+from zygos.cli.options import ArmFile, Details, Json, cuts
 from zygos.cli.shared import Wanted, arm_beside, check_model_name, deliver, not_whole, warn
 from zygos.effects import estimated, laws
 from zygos.errors import Undecided, ZygosError
@@ -122,7 +122,7 @@ def _explain_run(
         for k, run in enumerate(runs):
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
             logs.append(read_run(run, arm))
-            warn(logs[-1].damage)
+            warn((*logs[-1].remarks, *logs[-1].damage))
             check_distinct(logs[-1], logs[:-1])
         found = explain_runs(
             read_run(simulation, arm) if model is None else model,
@@ -251,6 +251,7 @@ def finish(
         raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
 
 
+@cuts
 def command(
     context: typer.Context,
     simulation: Annotated[

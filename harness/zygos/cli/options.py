@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar, cast
 
 import typer
+
+from zygos.runs.span import reading
 
 Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Also write the result as JSON to this file.")]
 Report = Annotated[
@@ -32,6 +37,36 @@ ChannelOption = Annotated[
 Bitrate = Annotated[
     int | None, typer.Option("-b", "--bitrate", metavar="BIT/S", help="The bit rate, if the interface asks for one.")
 ]
+_FROM = Annotated[
+    float | None,
+    typer.Option(
+        "--from", metavar="S", help="Read each recording from that many seconds after its beginning. Default: all."
+    ),
+]
+_TO = Annotated[
+    float | None,
+    typer.Option("--to", metavar="S", help="Read each recording to that many seconds after its beginning."),
+]
+Command = TypeVar("Command", bound=Callable[..., None])
+
+
+def cuts(command: Command) -> Command:
+    """A command that reads recordings, with the options --from and --to, which its readers obey."""
+
+    @wraps(command)
+    def cutting(*arguments: Any, from_s: float | None, to_s: float | None, **options: Any) -> None:
+        with reading(from_s, to_s):
+            command(*arguments, **options)
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    added = {"from_s": _FROM, "to_s": _TO}
+    own = inspect.signature(command, eval_str=True)
+    parameters = [inspect.Parameter(name, keyword, default=None, annotation=kind) for name, kind in added.items()]
+    cutting.__signature__ = own.replace(parameters=[*own.parameters.values(), *parameters])  # type: ignore[attr-defined]
+    cutting.__annotations__ = {**inspect.get_annotations(command, eval_str=True), **added}
+    return cast("Command", cutting)
+
+
 Runs = Annotated[
     list[Path],
     typer.Argument(

@@ -10,7 +10,7 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.options import ArmFile, Details, Json, Report, Runs
+from zygos.cli.options import ArmFile, Details, Json, Report, Runs, cuts
 from zygos.cli.shared import Wanted, deliver, not_whole, read_runs
 from zygos.files.output import check_outputs
 from zygos.files.progress import progress
@@ -20,6 +20,7 @@ from zygos.model.model import load_model
 from zygos.report.provenance import provenance
 
 
+@cuts
 def command(
     context: typer.Context,
     run: Runs,

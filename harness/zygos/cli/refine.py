@@ -11,7 +11,7 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.options import ArmFile, Details, Json, Report, Runs
+from zygos.cli.options import ArmFile, Details, Json, Report, Runs, cuts
 from zygos.cli.shared import Wanted, check_model_name, deliver, not_whole, read_runs
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs, named
@@ -58,6 +58,7 @@ def refine_files(
     not_whole(*(run.damage for run in recorded))
 
 
+@cuts
 def command(
     context: typer.Context,
     run: Runs,

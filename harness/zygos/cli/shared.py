@@ -33,7 +33,7 @@ def read_run(run: Path, arm: Arm) -> Run:
         read = recorded.read_run(
             run, arm, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames")
         )
-    warn(read.damage)
+    warn((*read.remarks, *read.damage))
     return read
 
 

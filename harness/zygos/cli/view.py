@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.options import ArmFile, Json, Run
+from zygos.cli.options import ArmFile, Json, Run, cuts
 from zygos.cli.shared import not_whole, read_run
 from zygos.dynamics.pose import motion, skeleton
 from zygos.errors import ZygosError
@@ -104,6 +104,7 @@ def view_run(
     not_whole(recorded.damage)
 
 
+@cuts
 def command(
     run: Run,
     arm: ArmFile = None,

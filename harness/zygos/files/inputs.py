@@ -183,8 +183,8 @@ class Kind:
 
 
 def kind(path: Path) -> Kind:
-    """The kind of an input. Its name says it, or its first bytes: of standard input, of a name without a known suffix,
-    and of .log and .csv, which several programs write."""
+    """The kind of an input. Its suffix says it, or its first bytes: of standard input, of .txt, and of .log and .csv,
+    which several programs write. Binaries and dialects of .log are recognised under any other suffix."""
     file = local(path)
     suffix = file.suffix.lower()
     if suffix in {one for one, _ in (*_BINARIES, *_TEXTS)} - {".csv"}:
@@ -200,9 +200,8 @@ def kind(path: Path) -> Kind:
         dialect = next((name for name, sign in _DIALECTS.items() if sign.match(line)), "")
         if dialect:
             return Kind(".log", dialect)
-    if suffix in (".log", ".csv"):
-        return Kind(suffix)
-    return Kind(next((one for one, sign in _TEXTS if sign.match(head)), suffix))
+    texts = () if suffix not in ("", ".txt") else _TEXTS
+    return Kind(next((one for one, sign in texts if sign.match(head)), suffix))
 
 
 def suffix(path: Path) -> str:

@@ -19,6 +19,7 @@ from zygos.errors import ZygosError
 from zygos.files.inputs import suffix
 from zygos.files.tables import Columns, read_columns, write_columns
 from zygos.runs.cycles import Cycles
+from zygos.runs.span import span
 
 _BLOCKS = ("q", "theta", "tau")
 
@@ -38,7 +39,7 @@ def write_cycles(path: Path, cycles: Cycles) -> None:
 
 
 def read_cycles(path: Path, arm: Arm) -> Cycles:
-    """Read a cycle table of an arm. Values may be NaN; the flight library drops such cycles.
+    """Read a cycle table of an arm, in the span that is read. Values may be NaN; the flight library drops such cycles.
 
     Raises ZygosError naming the column if it is missing, unknown or not numeric, if cycle numbers or flags are not
     integers, or if cycle numbers do not increase.
@@ -70,13 +71,14 @@ def read_cycles(path: Path, arm: Arm) -> Cycles:
     def block(names: list[str]) -> NDArray[np.float64]:
         return np.column_stack([values[name] for name in names])
 
+    rows = span().rows(path, (sync - sync[0]) * arm.period_s)
     return Cycles(
-        sync=sync.astype(np.uint64),
-        q=block([f"q{i + 1}" for i in range(arm.n)]),
-        theta=block([f"theta{i + 1}" for i in range(arm.n)]),
-        tau=block([f"tau{i + 1}" for i in range(arm.n)]),
-        omega=block(["wx", "wy", "wz"]),
-        flags=flags.astype(np.uint32),
+        sync=sync.astype(np.uint64)[rows],
+        q=block([f"q{i + 1}" for i in range(arm.n)])[rows],
+        theta=block([f"theta{i + 1}" for i in range(arm.n)])[rows],
+        tau=block([f"tau{i + 1}" for i in range(arm.n)])[rows],
+        omega=block(["wx", "wy", "wz"])[rows],
+        flags=flags.astype(np.uint32)[rows],
     )
 
 

@@ -27,6 +27,7 @@ from zygos.files.inputs import local
 from zygos.files.output import is_dash
 from zygos.files.tables import Columns, read_columns
 from zygos.files.toml import Table
+from zygos.runs.span import span
 
 Floats = NDArray[np.float64]
 Quantity = Literal["angle", "torque", "rate", "time"]
@@ -162,6 +163,8 @@ class Recording:
     """Number of frames that the DBC could not decode."""
     missing: tuple[str, ...] = ()
     """Sentences about what is missing in a damaged log, each beginning with its name."""
+    remarks: tuple[str, ...] = ()
+    """Sentences about what else is unusual in a log, likewise."""
 
 
 def closest(name: str, known: Iterable[str], noun: str) -> str:
@@ -484,7 +487,15 @@ def read_table(path: Path, mapping: Map) -> Recording:
         raise ZygosError(
             f"{path}: column {mapping.clock.source} has no value in row {at + 1}; remedy: remove rows without time"
         )
-    return Recording(sources, clock, nowhere, mapping.clock.modulo)
+    modulo = mapping.clock.modulo
+    time_s = (clock if modulo is None else np.unwrap(clock, period=modulo)) * mapping.clock.unit_s
+    kept = span().rows(path, time_s)
+    count = int(np.count_nonzero(kept))
+    sources = {
+        source: SourceSamples(rows.value[kept], np.arange(count), nowhere[:count]) for source, rows in sources.items()
+    }
+    clock = clock[kept] - clock[kept][0]
+    return Recording(sources, clock, nowhere[:count], modulo)
 
 
 def _column(path: Path, columns: Columns, name: str, where: str) -> NDArray[Any]:
@@ -591,8 +602,9 @@ def read_can(
     ticks: list[tuple[float, float]] = []
     damaged = 0
     missing: list[str] = []
+    remarks: list[str] = []
     begin: float | None = None
-    for message_in in bus.read_messages(path, missing, progress):
+    for message_in in bus.read_messages(path, missing, progress, remarks):
         key = (message_in.arbitration_id, message_in.is_extended_id)
         if key not in wanted or message_in.is_error_frame or message_in.is_remote_frame:
             continue
@@ -620,6 +632,7 @@ def read_can(
                 + (f" ({damaged} frames could not be decoded)" if damaged else "")
                 + "; remedy: compare the DBC's identifiers with the log"
             )
+    _check_stamps(path, clock, begin)
     sources = {
         source: SourceSamples(
             np.array([v for v, _, _ in rows]), np.array([g for _, g, _ in rows]), np.array([s for _, _, s in rows])
@@ -634,7 +647,17 @@ def read_can(
         modulo,
         damaged,
         tuple(f"{path} {text}" for text in missing),
+        tuple(f"{path} {text}" for text in remarks),
     )
+
+
+def _check_stamps(path: Path, clock: Clock, begin: float | None) -> None:
+    """Refuse a log without time stamps where these are the clock."""
+    if clock.stamped and math.isnan(begin or 0.0):
+        raise ZygosError(
+            f"{path}: has no time stamps, which [time] of the map asks for; remedy: record them (candump -L; slcan: "
+            "Z1), or name a time or a counter in the telemetry"
+        )
 
 
 def _decode(message: Message, frame: can.Message) -> dict[str, Any] | None:

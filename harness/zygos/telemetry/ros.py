@@ -10,6 +10,7 @@ import numpy as np
 
 from zygos.errors import ZygosError
 from zygos.files.inputs import local, suffix
+from zygos.runs.span import span
 from zygos.telemetry.map import Channel, Map, Recording, SourceSamples, closest
 
 _TYPES = {"JointState": "sensor_msgs/msg/JointState", "Imu": "sensor_msgs/msg/Imu"}
@@ -74,6 +75,10 @@ def read_mcap(path: Path, mapping: Map, progress: Callable[[int], None] | None =
             remedy = closest(named, sorted(joints), "joints") if named and joints else "record it"
             raise ZygosError(f"{channel.where}: {path.name} has no message on {channel.source}; remedy: {remedy}")
     begin = min(rows[0][0] for rows in values.values())
+    last_s = 1e-9 * (max(rows[-1][0] for rows in values.values()) - begin)
+    values = {name: [row for row in rows if span().holds(1e-9 * (row[0] - begin))] for name, rows in values.items()}
+    if not all(values.values()):
+        raise span().nothing(path, last_s)
     sources = {
         source: SourceSamples(
             np.array([value for _, value in rows]),
