@@ -143,6 +143,115 @@ TRC = """\
 """As PEAK's programs write it."""
 
 
+BUSMASTER = """\
+***BUSMASTER Ver 3.2.2***
+***PROTOCOL CAN***
+***NOTE: PLEASE DO NOT EDIT THIS DOCUMENT***
+***[START LOGGING SESSION]***
+***START DATE AND TIME 8:8:2014 11:49:7:965***
+***HEX***
+***SYSTEM MODE***
+***START CHANNEL BAUD RATE***
+***CHANNEL 1 - Simulation - 500 Kbps***
+***END CHANNEL BAUD RATE***
+***START DATABASE FILES***
+***END OF DATABASE FILES***
+***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***
+11:49:12:9420 Rx 1 0x012 s 1 40
+11:49:12:9440 Tx 1 0x1ABCDEF0 x 8 03 E0 00 00 C0 00 00 00
+11:49:12:9441 Rx 1 0x012 sr 4
+11:49:12:9442 Rx 1 0x012 s-fd 12 00 01 02 03 04 05 06 07 08 09 0A 0B
+11:49:12:9443 Rx 1 0x000 ERR Stuff Error
+***END DATE AND TIME 8:8:2014 11:49:39:4***
+***[STOP LOGGING SESSION]***
+"""
+SLCAN = "V1013\nt1002AB01\nT1ABCDEF03010203EA5F\nr1004\nd1009000102030405060708090A0B\nz\nR000001230\n"
+SAVVYCAN = """\
+Time Stamp,ID,Extended,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
+39747828,000005EB,false,0,8,E8,45,85,4B,4A,28,36,69,
+39747829,0x18FEFF32,true,0,0
+39747830,000005EB,false,0,9,1,2,3,4,5,6,7,8,9
+"""
+"""The first of its versions, which has no direction."""
+PYTHON_CAN = """\
+timestamp,arbitration_id,extended,remote,error,dlc,data
+1.5,0x80,0,0,0,1,QA==
+1.6,0x80,1,0,0,0,
+1.7,0x80,0,1,0,4,
+1.8,0x0,1,0,1,8,AAAAAAAAAAA=
+"""
+SCREEN = [
+    (0x123, 0, "1122334455667788"),
+    (0x12345678, EXTENDED, "aabb"),
+    (0x123, REMOTE, ""),
+    (0x123, FD, "112233"),
+    (BUS_OFF, EXTENDED | ERROR, "0000000000000000"),
+]
+SCREENS = {
+    "-ta -x -a": """\
+ (1795896477.323498)  vcan0  TX - -  123   [8]  11 22 33 44 55 66 77 88   '."3DUfw.'
+ (1795896477.416728)  vcan0  TX - -  12345678   [2]  AA BB                     '..'
+ (1795896477.444094)  vcan0  TX - -       123   [4]  remote request
+ (1795896477.453957)  vcan0  TX B -       123  [03]  11 22 33                  '."3'
+ (1795896477.603484)  vcan0  TX - -  20000040   [8]  00 00 00 00 00 00 00 00   ERRORFRAME
+""",
+    "-ta -ccc": """\
+ \033[1m\033[34m(1795896479.023451)  vcan0  123   [8]  11 22 33 44 55 66 77 88\033[0m
+ \033[1m\033[34m(1795896479.052969)  vcan0  12345678   [2]  AA BB\033[0m
+ \033[1m\033[34m(1795896479.182664)  vcan0       123   [4]  remote request\033[0m
+ \033[1m\033[34m(1795896479.211128)  vcan0       123  [03]  11 22 33\033[0m
+ \033[1m\033[34m(1795896479.459918)  vcan0  20000040   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\033[0m
+""",
+    "-td -e -c": """\
+ (000.000000)  \033[1m\033[34mvcan0\033[0m  123   [8]  11 22 33 44 55 66 77 88
+ (000.278531)  \033[1m\033[34mvcan0\033[0m  12345678   [2]  AA BB
+ (000.110113)  \033[1m\033[34mvcan0\033[0m       123   [4]  remote request
+ (000.143045)  \033[1m\033[34mvcan0\033[0m       123  [03]  11 22 33
+ (000.130895)  \033[1m\033[34mvcan0\033[0m  20000040   [8]  00 00 00 00 00 00 00 00   ERRORFRAME
+	bus-off
+""",
+    "-tA -S": """\
+ (2026-11-28 20:08:20.993965)  vcan0  123   [8]  88`77`66`55`44`33`22`11
+ (2026-11-28 20:08:21.055187)  vcan0  12345678   [2]  BB`AA
+ (2026-11-28 20:08:21.075142)  vcan0       123   [4]  remote request
+ (2026-11-28 20:08:21.109502)  vcan0       123  [03]  33`22`11
+ (2026-11-28 20:08:21.172565)  vcan0  20000040   [8]  00`00`00`00`00`00`00`00   ERRORFRAME
+""",
+    "-i": """\
+  vcan0  123   [8]  00010001 00100010 00110011 01000100 01010101 01100110 01110111 10001000
+  vcan0  12345678   [2]  10101010 10111011
+  vcan0       123   [4]  remote request
+  vcan0       123  [03]  00010001 00100010 00110011
+  vcan0  20000040   [8]  00000000 00000000 00000000 00000000 00000000 00000000 00000000 00000000   ERRORFRAME
+""",
+}
+"""As candump 2020.11 of can-utils wrote five frames on the screen, by its options."""
+
+
+@pytest.mark.parametrize("suffix", [".log", ".txt", ""])
+@pytest.mark.parametrize("options", SCREENS)
+def test_the_screen_of_candump(options: str, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    path.write_text(SCREENS[options])
+    log = bus.read_log(path)
+    assert log.damage == ()
+    found = [(int(f["id"]), int(f["flags"]), bytes(f["data"][: f["length"]]).hex()) for f in log.frames]
+    assert found == SCREEN
+
+
+def test_a_damaged_line_of_a_dialect(tmp_path: Path) -> None:
+    """A byte that is missing, a digit that is none, and a last line without its end."""
+    path = tmp_path / "run.log"
+    first, second = SCREENS["-ta -x -a"].splitlines(keepends=True)[:2]
+    path.write_text(first + first.replace("77 88 ", "77 ")[:-13] + "\n" + second.replace("AA", "AG") + second[:50])
+    log = bus.read_log(path)
+    assert [int(frame["id"]) for frame in log.frames] == [0x123]
+    assert [text.removeprefix(f"{path} ") for text in log.damage] == [
+        "has no frame in line 2 nor in 1 line after it",
+        "ends in the middle of line 4, which is left out",
+    ]
+
+
 @pytest.mark.parametrize(
     ("suffix", "text", "found"),
     [
@@ -153,6 +262,10 @@ TRC = """\
         ),
         (".asc", ASC, [(128, 0), (0, EXTENDED | ERROR), (418119424, EXTENDED), (384, REMOTE)]),
         (".trc", TRC, [(0x100, EXTENDED), (0x80, 0), (3, REMOTE)]),
+        (".log", BUSMASTER, [(0x12, 0), (0x1ABCDEF0, EXTENDED), (0x12, REMOTE), (0x12, FD), (0, EXTENDED | ERROR)]),
+        (".log", SLCAN, [(0x100, 0), (0x1ABCDEF0, EXTENDED), (0x100, REMOTE), (0x100, FD), (0x123, EXTENDED | REMOTE)]),
+        (".csv", SAVVYCAN, [(0x5EB, 0), (0x18FEFF32, EXTENDED), (0x5EB, FD)]),
+        (".csv", PYTHON_CAN, [(0x80, 0), (0x80, EXTENDED), (0x80, REMOTE), (0, EXTENDED | ERROR)]),
     ],
 )
 @pytest.mark.parametrize("end", ["\n", "\r\n"])

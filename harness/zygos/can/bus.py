@@ -173,8 +173,9 @@ def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
     recording.finish()
 
 
-_NEAR = 1000
-"""Number of frames within which two interfaces record the same frame."""
+_NEAR = 48
+"""Number of frames within which two interfaces record the same frame: those of 16 cycles of the smallest arm, after
+which the counter in its frames, and so a whole frame, may come again."""
 
 
 def _one_bus(messages: Iterable[can.Message], remarks: list[str]) -> Iterator[can.Message]:
@@ -184,25 +185,24 @@ def _one_bus(messages: Iterable[can.Message], remarks: list[str]) -> Iterator[ca
     was left out is appended to remarks.
     """
     recent: dict[tuple[Any, ...], tuple[int, set[tuple[Any, bool]]]] = {}
-    names: dict[tuple[Any, bool], int] = {}
+    seen_by: dict[tuple[Any, bool], None] = {}
     copies = 0
     for count, message in enumerate(messages):
         own = (message.channel, message.is_rx)
-        names[own] = names.get(own, 0) + 1
-        if len(names) > 1 or count < _NEAR:
-            content = bytes(message.data or b"")
-            key = (message.arbitration_id, message.is_extended_id, message.is_error_frame, message.is_fd, content)
-            before, seen = recent.get(key, (-_NEAR, set()))
-            if count - before < _NEAR and own not in seen:
-                seen.add(own)
-                copies += 1
-                continue
-            recent[key] = (count, {own})
-            if len(recent) > 2 * _NEAR:
-                recent = {one: entry for one, entry in recent.items() if count - entry[0] < _NEAR}
+        seen_by[own] = None
+        content = bytes(message.data or b"")
+        key = (message.arbitration_id, message.is_extended_id, message.is_error_frame, message.is_fd, content)
+        before, by = recent.get(key, (-_NEAR, set()))
+        if count - before < _NEAR and own not in by:
+            by.add(own)
+            copies += 1
+            continue
+        recent[key] = (count, {own})
+        if len(recent) > 2 * _NEAR:
+            recent = {one: entry for one, entry in recent.items() if count - entry[0] < _NEAR}
         yield message
     if copies:
-        listed = ", ".join(f"{channel} ({'Rx' if rx else 'Tx'})" for channel, rx in names)
+        listed = ", ".join(f"{channel} ({'Rx' if rx else 'Tx'})" for channel, rx in seen_by)
         remarks.append(
             f"holds what several interfaces recorded ({listed}): {copies:,} frames are copies and are left out"
         )

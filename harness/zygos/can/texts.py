@@ -101,10 +101,10 @@ class _Screen(_Candump):
     def __init__(self, head: list[str]) -> None:
         super().__init__(head)
         found = [match["stamp"] for line in head if (match := self._FRAME.match(self._COLOUR.sub("", line)))]
-        times = [self._seconds(stamp) for stamp in found if stamp]
+        times = [self._seconds(stamp) for stamp in found if stamp and ":" not in stamp]
         falls = sum(later < earlier for earlier, later in pairwise(times))
-        # -t d and -t z look alike
-        self.clock.relative = falls > _FALLS * len(times)
+        # -t d and -t z look alike, but the differences fall as often as they rise, or do not rise at all
+        self.clock.relative = falls > _FALLS * len(times) or (len(times) > 2 and times[-1] <= times[1])
 
     @staticmethod
     def _seconds(stamp: str) -> float:
@@ -122,11 +122,12 @@ class _Screen(_Candump):
             data = f"R{length}"
         else:
             # -S swaps the bytes and writes ` between them, and -i writes each in binary
-            words = frame["data"].replace("`", " ").split()[:length]
+            swapped = re.match(r"\w+`", frame["data"]) is not None
+            words = re.split(r"`|\s+" if swapped else r"\s+", frame["data"], maxsplit=length)[:length]
             if len(words) < length:
                 return line, None
             content = [int(word, 2 if len(word) == 8 else 16) for word in words]
-            data = fd + bytes(content[::-1] if "`" in frame["data"] else content).hex()
+            data = fd + bytes(content[::-1] if swapped else content).hex()
         stamp = frame["stamp"]
         time_s = float("nan") if stamp is None else self.clock.at(self._seconds(stamp))
         return self._line(frame["channel"], frame["id"], data, frame["direction"] != "TX"), time_s
