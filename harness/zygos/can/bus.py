@@ -204,7 +204,8 @@ def _one_bus(messages: Iterable[can.Message], remarks: list[str]) -> Iterator[ca
     if copies:
         listed = ", ".join(f"{channel} ({'Rx' if rx else 'Tx'})" for channel, rx in seen_by)
         remarks.append(
-            f"holds what several interfaces recorded ({listed}): {copies:,} frames are copies and are left out"
+            f"holds what several interfaces recorded ({listed}): {copies:,} frames came on two of them, and are taken "
+            "once"
         )
 
 
@@ -257,10 +258,14 @@ def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
     if len(frames) == 0:
         if not damage:
             raise ZygosError(f"{path}: the log holds no frame; remedy: record while the bus is running")
-        kind = inputs.suffix(path)
+        kind, content = inputs.suffix(path), inputs.content(path).suffix
         raise ZygosError(
-            f"{path}: nothing can be read, the log {damage[0]}; remedy: check that it is a {kind} log, and record it "
-            "again"
+            f"{path}: nothing can be read, the log {damage[0]}; remedy: "
+            + (
+                f"name it {content}, as which it begins"
+                if content not in ("", kind)
+                else f"check that it is a {kind} log, and record it again"
+            )
         )
     return Log(frames, tuple(f"{path} {text}" for text in damage), tuple(f"{path} {text}" for text in remarks))
 

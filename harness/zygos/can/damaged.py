@@ -139,7 +139,7 @@ def _blf(path: Path, damage: list[str]) -> Iterator[can.Message]:
 
 def _convert(source: Path, target: Path) -> str:
     """Run python-can's converter in a separate process. Returns its error, or "" if it succeeded."""
-    command = [sys.executable, "-m", "can.logconvert", str(source.absolute()), str(target)]
+    command = [sys.executable, "-m", "can.logconvert", str(source), str(target)]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
     reported = re.search(r"^[\w.]+(Error|Exception): .*", done.stderr, re.MULTILINE)
     return "" if done.returncode == 0 else reported[0] if reported else f"exit code {done.returncode}"
@@ -149,8 +149,10 @@ def _mf4(path: Path, damage: list[str]) -> Iterator[can.Message]:
     """Read as far as asammdf can. Damaged files may crash it, so it runs in a separate process and writes a .blf."""
     read = 0
     with TemporaryDirectory() as folder:
-        target = Path(folder, "run.blf")
-        death = _convert(path, target)
+        # the converter takes the format from the suffix
+        source, target = Path(folder, "run.mf4"), Path(folder, "run.blf")
+        source.symlink_to(path.absolute())
+        death = _convert(source, target)
         if target.exists():
             for message in _blf(target, []):
                 read += 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -39,6 +39,18 @@ def of_fd(count: int) -> str:
         f"{counted(count, 'frame')} of this arm are CAN FD, which is not read: send classical frames; where only the "
         "recorder marks them so, remove the marks of a candump log (sed 's/##./#/')"
     )
+
+
+def without_cycle(faults: Mapping[str, int], fd: int) -> str:
+    """What to do about frames of which no cycle is whole; fd: how many of the arm's are CAN FD."""
+    if fd:
+        return of_fd(fd)
+    if faults.get("repeated", 0) > faults.get("dropped", 0) > 0:
+        return (
+            "every frame is there twice under the name of one interface: record one interface only, and leave out the "
+            "sender's echo"
+        )
+    return COMPARE_BUS
 
 
 _GAP_CYCLES = 3
@@ -123,7 +135,7 @@ class Run:
             none = "only frames of CAN FD came" if fd else "no frame of this arm came"
             raise ZygosError(
                 f"{self.path or 'the run'}: not one whole cycle of arm {self.arm.name} is in it "
-                f"({seen or none}); remedy: {of_fd(fd) if fd else COMPARE_BUS}"
+                f"({seen or none}); remedy: {without_cycle(faults, fd)}"
             )
 
     def __len__(self) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.can.run import COMPARE_BUS, of_fd
+from zygos.can.run import of_fd, without_cycle
 from zygos.effects import GAIN
 from zygos.files.output import counted, number
 from zygos.native.flight import MIN_SIGNAL_TO_NOISE, REASONS, Estimate, Flight
@@ -123,12 +123,12 @@ def _bus(flight: Flight) -> str:
     seen = ", ".join(f"{name} {count:,}" for count, name in largest[:3])
     fd = flight.counts["fd_frames"]
     if cycles == 0 and fd:
-        return of_fd(fd)
+        return without_cycle(faults, fd)
     if cycles == 0:
         if flight.counts["invalid"]:
             seen = f"{counted(flight.counts['invalid'], 'cycle')} invalid, not finite or implausibly large"
         came = f"the fault counters show {seen}" if seen else "no frame of this arm came"
-        return f"no cycle was complete and {came}: {COMPARE_BUS}"
+        return f"no cycle was complete and {came}: {without_cycle(faults, fd)}"
     found = [of_fd(fd)] if fd else []
     if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
         found.append(f"the bus loses or damages frames, or some do not match the arm file ({seen}): repair that")

@@ -185,23 +185,29 @@ class Kind:
 def kind(path: Path) -> Kind:
     """The kind of an input. Its suffix says it, or its first bytes: of standard input, of .txt, and of .log and .csv,
     which several programs write. Binaries and dialects of .log are recognised under any other suffix."""
-    file = local(path)
-    suffix = file.suffix.lower()
+    suffix = local(path).suffix.lower()
     if suffix in {one for one, _ in (*_BINARIES, *_TEXTS)} - {".csv"}:
         return Kind(suffix)
-    begin = _begin(file, _HEAD)
-    if suffix not in (".log", ".csv"):
-        found = next((one for one, mark in _BINARIES if begin.startswith(mark)), "")
-        if found:
-            return Kind(found)
+    found = content(path)
+    if suffix in ("", ".txt"):
+        return found
+    if suffix in (".log", ".csv"):
+        return found if found.dialect else Kind(suffix)
+    return Kind(suffix) if found.suffix in {"", *(one for one, _ in _TEXTS)} else found
+
+
+def content(path: Path) -> Kind:
+    """The kind of an input as its first bytes say it; a dialect may begin below lines that are of none."""
+    begin = _begin(local(path), _HEAD)
+    for one, mark in _BINARIES:
+        if begin.startswith(mark):
+            return Kind(one)
     head = begin.decode(encoding(path), errors="replace").replace("\r", "\n")
-    lines = re.sub(r"\x1b\[\d*m", "", head).splitlines(keepends=True)
-    for line in lines[:1] if suffix == ".csv" else lines:
-        dialect = next((name for name, sign in _DIALECTS.items() if sign.match(line)), "")
-        if dialect:
-            return Kind(".log", dialect)
-    texts = () if suffix not in ("", ".txt") else _TEXTS
-    return Kind(next((one for one, sign in texts if sign.match(head)), suffix))
+    for line in re.sub(r"\x1b\[\d*m", "", head).splitlines(keepends=True):
+        for name, sign in _DIALECTS.items():
+            if sign.match(line):
+                return Kind(".log", name)
+    return Kind(next((one for one, sign in _TEXTS if sign.match(head)), ""))
 
 
 def suffix(path: Path) -> str:
