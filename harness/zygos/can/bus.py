@@ -102,9 +102,10 @@ def check_log(path: Path) -> None:
             f"{path}: standard input does not begin like a CAN log; remedy: send it the bytes of a "
             f"{' '.join(LOG_SUFFIXES)} file, the lines of `candump -L`, or, where the command takes one, of a table"
         )
-    _check_suffix(path, suffix)
     if not inputs.local(path).is_file():
-        raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
+        said = "a folder" if path.is_dir() else "no such file"
+        raise ZygosError(f"{path}: {said}; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
+    _check_suffix(path, suffix)
 
 
 class LogWriter:
