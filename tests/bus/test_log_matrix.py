@@ -86,7 +86,7 @@ def test_frames_of_can_fd(name: str, arm: Arm, frames: Log, times: list[float], 
     assert set(log.frames["flags"].tolist()) == {FD}
     run = load_run(path, arm)
     found = estimate(run)
-    assert found.watch.flight.counts["fd_frames"] == len(frames)
+    assert found.watch.flight.fd_frames == len(frames)
     with pytest.raises(ZygosError, match=r"only frames of CAN FD came.*; remedy: [0-9]+ frames of this arm are CAN FD"):
         run.check_cycles()
 
