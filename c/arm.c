@@ -1133,7 +1133,7 @@ static uint32_t scrub_sums(zygos_arm_t *self)
         zygos_motor_sums_clear(&self->motor_sums, &self->config);
         found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
     }
-    if (!zygos_momentum_sums_scrub(&self->momentum_sums)) {
+    if (!zygos_momentum_sums_scrub(&self->momentum_sums, &self->config)) {
         zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
         found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
     }

@@ -135,6 +135,7 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
 {
     self->target = 2.0 * (double)config->momentum_arc_cycles;
     self->count = 0;
+    self->place = 0;
     self->corrupt = 0;
     self->quarantined = 0;
     self->noise_fade = 1.0;
@@ -675,8 +676,12 @@ static bool is_block_whole(const zygos_momentum_sums_t *self, const zygos_moment
            (violation(&block->rows, width_of(self), block->instants) <= 1.0);
 }
 
-bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
+bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
+    if (self->columns == 0) {
+        zygos_momentum_sums_clear(self, config); /* rows that nobody adds must not stop those that are */
+        return true;
+    }
     if (((self->checksum != checksum_of(self)) && !repair(self)) || (self->corrupt == 1u) ||
         (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || !is_factor(self->noise_fade) || !(self->noise_fade > 0.0)) {
         return false;

@@ -10,8 +10,6 @@
 #define PATIENCE 512u
 /* Time constants of forgetting after which sums count as forgotten: 5 % are left. */
 #define FADED 3.0
-/* The most cycles that follow a copy without one, whatever memory says of how long that one took. */
-#define LONGEST_PAUSE 16384u
 /* Cycles in which a copy waits for a pass of the patrol, whatever the capacities of the build are. */
 #define VERIFYING 48u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
@@ -499,27 +497,38 @@ static bool is_verified(zygos_t *self, const zygos_given_t *given, uint64_t copi
     return self->verifying == 0;
 }
 
+static void set_copied(zygos_t *self, uint32_t cycles)
+{
+    self->copied = cycles;
+    self->not_copied = ~cycles;
+}
+
+/* 0 also where memory was changed. */
+static uint32_t cycles_copied(const zygos_t *self)
+{
+    return (self->copied == ~self->not_copied) ? self->copied : 0u;
+}
+
 static void hand_over(zygos_t *self, const zygos_given_t *given)
 {
     zygos_background_t *background = background_of(given);
     if (background == NULL) {
-        if ((self->rested < longest_arc(config_of(given))) && (self->copied > 0)) {
+        if ((self->rested < longest_arc(config_of(given))) && (cycles_copied(self) > 0)) {
             return;
         }
-        self->copied = 1;
+        set_copied(self, 1u);
         if ((mend(self, given) < 0) || (zygos_arm_end_arcs(&self->state) < 0)) {
             return; /* the next cycle says so */
         }
         in_place_of(given)->of = self->restarts;
     } else {
         if ((self->handover.kind == 0) && (self->handover.cut == 0) && (self->handover.waited == 0)) {
-            if ((self->rested < self->copied) &&
-                (self->rested < LONGEST_PAUSE)) { /* the tasks that have waited proceed */
+            if (self->rested < cycles_copied(self)) { /* the tasks that have waited proceed */
                 return;
             }
-            self->copied = 0;
+            set_copied(self, 0);
         }
-        self->copied++;
+        set_copied(self, cycles_copied(self) + 1u);
         const bool done = zygos_handover_part(&self->handover, &self->state, &background->work);
         self->state.held = zygos_handover_held(&self->handover);
         self->state.beside = (self->handover.waited == 0) ? 1u : 0u; /* tasks proceed while the copy waits */

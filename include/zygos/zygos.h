@@ -118,7 +118,8 @@ typedef struct {
     uint64_t repairs;         ///< Times that memory was found changed and repaired.
     uint64_t losses;          ///< Times that it could not be repaired, and the estimation began anew.
     uint64_t rested;          ///< Cycles since the sums were copied last.
-    uint64_t copied;          ///< Cycles that this took.
+    uint32_t copied;          ///< Cycles that this took, after which as many pass before the next time,
+    uint32_t not_copied;      ///< and its complement: memory errors must not make them more.
     uint32_t waited;          ///< Cycles for which an estimate has waited to be adopted.
     uint32_t refining;        ///< Two of the lowest three bits: the background has the memory of the refinement.
     uint32_t refines_anew;    ///< The same: what is refined is another arm's.

@@ -69,6 +69,14 @@ def test_frames_and_times(name: str, stamps: str, tx: bool, frames: Log, times: 
     np.testing.assert_array_equal(part, frames[inside])
 
 
+def test_stamps_of_slcan_start_again_every_minute(frames: Log, times: list[float], tmp_path: Path) -> None:
+    late = [40.0 * time for time in times]
+    path = write_dialect(tmp_path, "slcan", frames, late, stamps="from zero")
+    found = [message.timestamp for message in bus.read_messages(path, [])]
+    assert np.max(np.abs(np.subtract(found, late))) < 1e-3
+    assert late[-1] == pytest.approx(120.0)
+
+
 @pytest.mark.parametrize("name", [name for name, kind in FORMATS.items() if kind.fd])
 def test_frames_of_can_fd(name: str, arm: Arm, frames: Log, times: list[float], tmp_path: Path) -> None:
     """They are marked, count as rejected, and the message says what they are."""
@@ -78,7 +86,7 @@ def test_frames_of_can_fd(name: str, arm: Arm, frames: Log, times: list[float], 
     assert set(log.frames["flags"].tolist()) == {FD}
     run = load_run(path, arm)
     found = estimate(run)
-    assert found.watch.flight.counts["fd_frames"] == len(frames)
+    assert found.watch.flight.fd_frames == len(frames)
     with pytest.raises(ZygosError, match=r"only frames of CAN FD came.*; remedy: [0-9]+ frames of this arm are CAN FD"):
         run.check_cycles()
 

@@ -97,6 +97,16 @@ def test_compression_that_breaks_off(brief: Log, arm: Arm, tmp_path: Path, capsy
     assert 50 < len(cut) < len(whole)
 
 
+def test_names_of_compressed_files(brief: Log, arm: Arm, tmp_path: Path) -> None:
+    """A name that ends in .gz does not make a file compressed; one that is missing, and a folder, are named."""
+    bus.write_log(tmp_path / "run.log", brief[:100], arm.period_s)
+    plain = (tmp_path / "run.log").rename(tmp_path / "run.log.gz")
+    assert len(bus.read_log(plain).frames) == 100
+    for path, said in ((tmp_path / "none.log.gz", "no such file"), (tmp_path, "a folder")):
+        with pytest.raises(ZygosError, match=f"{path}: {said}; remedy: give a CAN log"):
+            bus.read_log(path)
+
+
 def test_copies_are_removed(brief: Log, arm: Arm, tmp_path: Path) -> None:
     path = tmp_path / "run.log.gz"
     bus.write_log(tmp_path / "run.log", brief, arm.period_s)

@@ -409,6 +409,34 @@ def test_places_of_the_ring_and_stages_that_cannot_be_do_no_harm(begun: tuple[Lo
     assert loop.native.magic == 0x5A59474F
 
 
+@pytest.mark.parametrize(
+    ("path", "in_place"),
+    [("copied", False), ("state.momentum_sums.arc.instants", True), ("state.motor_sums.instants", True)],
+)
+@pytest.mark.parametrize("bit", [7, 12, 30])
+def test_a_flipped_bit_does_not_end_the_estimates_in_silence(path: str, in_place: bool, bit: int) -> None:
+    """The length of a pause, and sums of rows that the configuration does not have."""
+    arm, motion = recording()
+    arm = replace(arm, arc_max_s=6.0, impulse_arc_s=0.0, momentum_max_s=0.0)
+    loop, array = (
+        Loop(config_of(arm), in_place=in_place),
+        native_cycles(again(arm, motion, 1, np.random.default_rng(8))),
+    )
+    for k in range(200):
+        loop.cycle(array + k)
+    *structs, member = path.split(".")
+    place = loop.native
+    for name in structs:
+        place = getattr(place, name)
+    words = np.frombuffer(ffi.buffer(ffi.addressof(place, member)), dtype=np.uint32)
+    words[0] ^= np.uint32(1 << bit)
+    given = 0
+    for k in range(200, 800):
+        loop.cycle(array + k)
+        given += loop.solve() == 1
+    assert given > 1
+
+
 def test_corrupt_sums_are_dropped_and_the_next_estimate_has_values() -> None:
     arm, motion = recording()
     arm = replace(arm, arc_max_s=10.0)

@@ -102,9 +102,8 @@ def check_log(path: Path) -> None:
             f"{path}: standard input does not begin like a CAN log; remedy: send it the bytes of a "
             f"{' '.join(LOG_SUFFIXES)} file, the lines of `candump -L`, or, where the command takes one, of a table"
         )
-    if not inputs.local(path).is_dir():
-        _check_suffix(path, suffix)
     inputs.check_file(path, "give a CAN log, for instance one that `zygos simulate` wrote")
+    _check_suffix(path, suffix)
 
 
 class LogWriter:

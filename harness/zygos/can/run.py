@@ -90,7 +90,7 @@ class Run:
         flight = Flight(receivable(self.arm))
         trace = flight.frames(self.frames, trace=True) if self.frames is not None else None
         assert trace is not None
-        return trace.cycles, flight.faults, flight.counts["fd_frames"]
+        return trace.cycles, flight.faults, flight.fd_frames
 
     @property
     def cycles(self) -> Cycles:

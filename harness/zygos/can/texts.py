@@ -136,7 +136,7 @@ class _Screen(_Candump):
 class _BusMaster(_Candump):
     """A log of BUSMASTER: the samples in its repository, and wiretap/busmaster_parser.lemon of Wireshark."""
 
-    silent = re.compile(r"\s*$|-?\*\*\*")
+    silent = re.compile(r"\s*$|\*\*\*")
     _FRAME = re.compile(
         r"(\d+):(\d+):(\d+):(\d+)\s+([RT])x\s+(\d+)\s+(?:0x)?([0-9A-F]+)\s+(?:(s|x)(r|-fd)?\s+(\d+)\s*(.*)|ERR.*)",
         re.IGNORECASE,
@@ -160,19 +160,19 @@ class _BusMaster(_Candump):
         hours, minutes, seconds, fraction = frame.groups()[:4]
         # four digits are units of 100 us; programs that imitate the format write three, of milliseconds
         rest_s = int(fraction) / 10 ** len(fraction)
-        direction, channel, identifier, width, kind, length, content = frame.groups()[4:]
+        direction, channel, identifier, width, form, length, content = frame.groups()[4:]
         if width is None:
             text, data = "20000000", bytes(8).hex()
         else:
             number = int(identifier, self._base)
             text = f"{number:08X}" if width.lower() == "x" else f"{number:03X}"
             words = content.split()
-            if kind and kind.lower() == "r":
+            if form and form.lower() == "r":
                 data = f"R{length}"
             else:
-                if len(words) != int(length) and not kind:
+                if len(words) != int(length) and not form:
                     return line, None
-                data = ("#0" if kind else "") + bytes(int(word, self._base) for word in words).hex()
+                data = ("#0" if form else "") + bytes(int(word, self._base) for word in words).hex()
         time_s = self.clock.at(3600 * int(hours) + 60 * int(minutes) + int(seconds) + rest_s)
         return self._line(channel, text, data, direction.upper() == "R"), time_s
 
@@ -181,7 +181,7 @@ class _Slcan(_Candump):
     """The lines of an adapter that speaks slcan: the manual of the CAN232 by LAWICEL, and python-can's interface."""
 
     silent = re.compile(r"[\azZ]*$|[CFLMNOQSVWXYsmv][0-9A-Fa-f]*$")
-    _FRAME = re.compile(r"[\azZ]*(?:([trdb])([0-7][0-9A-F]{2})|([TRDB])([01][0-9A-F]{7}))([0-9A-F])([0-9A-F]*)\s*$")
+    _FRAME = re.compile(r"(?:([trdb])([0-7][0-9A-F]{2})|([TRDB])([01][0-9A-F]{7}))([0-9A-F])([0-9A-F]*)\s*$")
     _LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
     def __init__(self, head: list[str]) -> None:
@@ -190,16 +190,17 @@ class _Slcan(_Candump):
 
     def translate(self, line: str) -> Translated:
         # the letter of the kind has a case, the digits have none
-        frame = self._FRAME.match(line[:1] + line[1:].upper())
+        answered = line.lstrip("\azZ")
+        frame = self._FRAME.match(answered[:1] + answered[1:].upper())
         if frame is None:
             return line, None
-        kind, identifier = frame[1] or frame[3], frame[2] or frame[4]
+        letter, identifier = frame[1] or frame[3], frame[2] or frame[4]
         dlc, content = int(frame[5], 16), frame[6]
-        if kind.lower() == "r":
+        if letter.lower() == "r":
             data, end = f"R{dlc}", 0
         else:
-            end = 2 * self._LENGTHS[dlc if kind in "dDbB" else min(dlc, 8)]
-            data = ("#0" if kind in "dDbB" else "") + content[:end]
+            end = 2 * self._LENGTHS[dlc if letter in "dDbB" else min(dlc, 8)]
+            data = ("#0" if letter in "dDbB" else "") + content[:end]
         stamp = content[end:]
         if len(content) < end or len(stamp) not in (0, 4):
             return line, None

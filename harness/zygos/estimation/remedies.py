@@ -121,7 +121,7 @@ def _bus(flight: Flight) -> str:
     faults, cycles = flight.faults, flight.counts["cycles"]
     largest = sorted(((count, name) for name, count in faults.items() if count and name != "dropped"), reverse=True)
     seen = ", ".join(f"{name} {count:,}" for count, name in largest[:3])
-    fd = flight.counts["fd_frames"]
+    fd = flight.fd_frames
     if cycles == 0 and fd:
         return without_cycle(faults, fd)
     if cycles == 0:

@@ -400,7 +400,7 @@ def report_estimate(result: Estimate, watch: Watch, drift: Drift | None, heading
         "contradicting": drift.contradicting if drift else (),
         "changed_after_s": drift.until * flight.arm.period_s if drift and drift.changed else None,
         "faults": flight.faults,
-        "counts": flight.counts,
+        "counts": {"fd_frames": flight.fd_frames, **flight.counts},
         "parameters": [
             {
                 "name": name,

@@ -19,7 +19,7 @@ LEFT_OUT_SHOWN = 6
 
 def losses(flight: Flight) -> str:
     """The cycles and frames that the receiver lost, in words."""
-    rejected = flight.counts["fd_frames"] + sum(count for name, count in flight.faults.items() if name not in NO_FRAMES)
+    rejected = flight.fd_frames + sum(count for name, count in flight.faults.items() if name not in NO_FRAMES)
     return f"{counted(flight.faults['dropped'], 'cycle')} dropped, {counted(rejected, 'frame')} rejected"
 
 

@@ -43,7 +43,7 @@ _DIALECTS = {
 _TEXTS = (
     (".asc", re.compile(r"\s*(date|base|//|[+-]?\d+\.\d+\s)", re.IGNORECASE)),
     (".trc", re.compile(r"\s*;")),
-    (".csv", re.compile(r"[^\n\0]*[,;\t][^\n\0]*\n")),
+    (".csv", re.compile(r"[^\n\x00-\x08\x0e-\x1f]*[,;\t][^\n\x00-\x08\x0e-\x1f]*\n")),
 )
 """How the other texts begin, and the suffix of their files."""
 _HEAD = 4096
@@ -83,8 +83,7 @@ class _Copies:
         state = file.stat()
         key = (file.absolute(), state.st_mtime_ns, state.st_size)
         if key not in self._unpacked:
-            name = file.name[: -len(_GZIP)] if file.suffix.lower() == _GZIP else file.name
-            target = self._folder() / name
+            target = self._folder() / _without_gzip(file).name
             with file.open("rb") as source, target.open("wb") as copy:
                 cut = _unpack(source, copy)
             self._unpacked[key] = _Copy(target, cut)
@@ -92,6 +91,11 @@ class _Copies:
 
     def _folder(self) -> Path:
         return Path(self._cleanup.enter_context(TemporaryDirectory(prefix="zygos-")))
+
+
+def _without_gzip(file: Path) -> Path:
+    """A name without the suffix of gzip."""
+    return file.with_suffix("") if file.suffix.lower() == _GZIP else file
 
 
 def _unpack(source: BinaryIO, copy: BinaryIO) -> bool:
@@ -186,7 +190,7 @@ class Kind:
 def kind(path: Path) -> Kind:
     """The kind of an input. Its suffix says it, or its first bytes: of standard input, of .txt, and of .log and .csv,
     which several programs write. Binaries and dialects of .log are recognised under any other suffix."""
-    suffix = local(path).suffix.lower()
+    suffix = _without_gzip(local(path)).suffix.lower()
     if suffix in {one for one, _ in (*_BINARIES, *_TEXTS)} - {".csv"}:
         return Kind(suffix)
     found = content(path)

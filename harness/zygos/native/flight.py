@@ -450,7 +450,8 @@ class Flight:
         self._before = ffi.new("zygos_estimate_t *")
         drives = [first + joint.node for joint in arm.joints for first in (0x180, 0x280)]
         self._own = np.array([0x080, 0x3A0, *drives, *(first + arm.imu.node for first in (0x180, 0x380))])
-        self._fd = 0
+        self.fd_frames = 0
+        """Frames of CAN FD with an identifier of the arm, which the library ignores without counting them."""
 
     def frames(self, frames: NDArray[Any], *, trace: bool = False) -> Trace | None:
         """Feed `FRAME` records and work off every cycle they complete."""
@@ -460,7 +461,7 @@ class Flight:
             _TraceTable(self.arm, len(self.names), int(np.count_nonzero(frames["id"] == 0x080)) + 1) if trace else None
         )
         fd = frames["id"][(frames["flags"] & lib.ZYGOS_FRAME_FD) > 0]
-        self._fd += int(np.count_nonzero(np.isin(fd, self._own)))
+        self.fd_frames += int(np.count_nonzero(np.isin(fd, self._own)))
         lib.zygos_batch_frames(self.native, pointer, len(frames), ffi.NULL, table.native if table else ffi.NULL)
         return table.trace() if table else None
 
@@ -616,11 +617,9 @@ class Flight:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Cycles worked off, gaps between them, arcs and instants; and frames of CAN FD with identifiers of the arm,
-        which the library ignores."""
+        """Cycles worked off, gaps between them, arcs and instants."""
         sums = self.native.accumulator
         return {
-            "fd_frames": self._fd,
             "cycles": int(self.native.cycles),
             "gaps": int(self.native.gaps),
             "invalid": int(self.native.invalid),

@@ -163,9 +163,9 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Drops each block that does not match its row sums or its checksum, and the open arc where its sums do not match;
-/// repairs a flipped bit of count and target. Returns false when that cannot be repaired: then clear the sums. Needs
-/// the tables. Cost: one pass over the sums.
-bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self);
+/// repairs a flipped bit of count and target. Returns false when that cannot be repaired: then clear the sums. Clears
+/// them where the configuration has no such rows. Needs the tables. Cost: one pass over the sums.
+bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self, const zygos_config_t *config);
 
 /// Returns the largest violation of the row sums in units of their tolerance, or 2 when an arc was corrupt when it
 /// closed or a checksum does not match. Above 1 means corrupt. Needs zygos_momentum_sums_intact().

@@ -119,8 +119,8 @@ void zygos_motor_sums_drop_after(zygos_motor_sums_t *self, uint64_t cycle);
 uint32_t zygos_motor_sums_drop_until(zygos_motor_sums_t *self, uint64_t cycle);
 
 /// Drops each block that does not match its row sums or its checksum, and the open arc where its sums do not match;
-/// repairs a flipped bit of count and target. Returns false when that cannot be repaired: then clear the sums. Needs
-/// the tables. Cost: one pass over the sums.
+/// repairs a flipped bit of count and target. Returns false when that cannot be repaired: then clear the sums. Clears
+/// them where the configuration has no such rows. Needs the tables. Cost: one pass over the sums.
 bool zygos_motor_sums_scrub(zygos_motor_sums_t *self, const zygos_config_t *config);
 
 /// Returns 2 when row sums or a checksum do not match, otherwise at most 1. Needs zygos_motor_sums_intact().
