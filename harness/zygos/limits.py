@@ -30,6 +30,20 @@ class Limit(Generic[Number]):
 
 # fmt: off
 
+# Conversion
+OUTLIER = Limit("outlier", 10.0, "1", "convention",
+    "A sample lies off, or a step is none of the motion, by more than so many times of what varies around it.")
+OUTLIER_WINDOW = Limit("outlier window", 12, "1", "convention",
+    "Samples on each side whose second differences say what varies.")
+OUTLIER_BURST = Limit("outlier burst", 4, "1", "convention",
+    "Samples next to each other that may lie off.")
+TURN_NEAR = Limit("turn near", 0.05, "1", "convention",
+    "Share by which a step may differ from a turn of the angle, or from another number at which it starts again.")
+TURN_SURE = Limit("turn sure", 0.4, "1", "convention",
+    "Share of a turn, or of another number at which an angle starts again, that it may move between two samples.")
+SECOND_SOURCE = Limit("second source", 0.05, "1", "convention",
+    "Share of samples that lie off above which a second source seems to send them, and the recording is refused.")
+
 # The gate
 NOT_WORSE = Limit("not worse", 1.1, "1", "trial",
     "Error of a model's predictions over that of the best baseline, up to which it is no worse.")

@@ -24,6 +24,7 @@ from zygos.telemetry.convert import (
     averages_torques,
     check_noise,
     cycles_of,
+    mended_recording,
     noise_of,
     noisier_arm_text,
     refused_share,
@@ -72,6 +73,9 @@ def convert_run(
         else:
             recording = read_can(source, Dictionary.load(dbc), mapping, reading)
         bar.update(task, description="converting")
+        samples = {source: len(one.value) for source, one in recording.sources.items()}
+        mended = mended_recording(recording, mapping, arm)
+        recording = mended.recording
         found, cycles, lost = cycles_of(recording, mapping, arm)
         noise = noise_of(found, mapping, arm)
         averaged = averages_torques(found, arm)
@@ -88,8 +92,8 @@ def convert_run(
         write_run(out, cycles, frames, arm.period_s, text, chosen)
         refused = refused_share(described, cycles, frames)
     warn(recording.missing)
-    rows = signal_rows(recording, found, cycles, described, mapping, noise)
-    warnings = warnings_of(arm, cycles, described, recording, found, out, refused)
+    rows = signal_rows(samples, mended, found, cycles, described, noise)
+    warnings = [*mended.warnings] + warnings_of(arm, cycles, described, recording, found, out, refused)
     content: dict[str, Any] = {
         "input": str(source),
         "map": str(map_file),
@@ -160,9 +164,12 @@ def _print(content: dict[str, Any]) -> None:
     )
     how = "by its cycle counter" if content["interpolation"] is None else f"{content['interpolation']} interpolation"
     left = ", ".join(f"{count:,} {reason}" for reason, count in content["left_out"].items() if count)
+    turns = sum(row["turns"] for row in content["signals"])
     say(
         f"{content['run']}: {counted(content['cycles'], 'cycle')} at {1 / content['period_s']:g} Hz {how}, "
-        f"{counted(content['breaks'], 'break')}, left out: {left or 'nothing'} · output: "
+        f"{counted(content['breaks'], 'break')}, left out: {left or 'nothing'}"
+        + (f", {counted(turns, 'turn')} unwrapped" if turns else "")
+        + " · output: "
         + ("table of cycles" if content["door"] == "cycle" else "CAN frames")
     )
     for line in content["warnings"]:

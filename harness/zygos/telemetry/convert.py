@@ -32,10 +32,12 @@ from zygos.telemetry.grid import (
     grid_noise,
     regrid,
     synchronous,
+    times_of,
     tracks,
     tracks_of,
 )
 from zygos.telemetry.map import SI_UNIT, Channel, Map, Recording
+from zygos.telemetry.mend import Mended, mended
 
 _FTIME_CYCLES = 50
 """`encode` sends FTIME with every cycle whose number is a multiple of this."""
@@ -49,6 +51,12 @@ SPARSE = 10.0
 """Periods of the arm between two samples from which a warning is given."""
 UNLIKE = 5.0
 """Ratio of the motions of motor and link angle of a joint from which a warning is given."""
+
+
+def mended_recording(recording: Recording, mapping: Map, arm: Arm) -> Mended:
+    """The recording without impossible samples. Errors: as `mended`."""
+    sigma = {channel.source: declared_sigma(arm, channel) for channel in mapping.channels}
+    return mended(recording, times_of(recording, mapping), mapping, sigma)
 
 
 def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track], Cycles, dict[str, int]]:
@@ -206,9 +214,15 @@ def _wire_step(channel: Channel, arm: Arm) -> float:
 
 
 def signal_rows(
-    recording: Recording, found: Sequence[Track], cycles: Cycles, arm: Arm, mapping: Map, noise: Sequence[Noise]
+    samples: dict[str, int],
+    mended: Mended,
+    found: Sequence[Track],
+    cycles: Cycles,
+    arm: Arm,
+    noise: Sequence[Noise],
 ) -> list[dict[str, Any]]:
-    """The results for each signal, as in the table and the JSON of a conversion."""
+    """The results for each signal, as in the table and the JSON of a conversion. samples: by source, their number in
+    the recording."""
     rows: list[dict[str, Any]] = []
     for track, change in zip(found, noise, strict=True):
         channel = track.channel
@@ -218,7 +232,9 @@ def signal_rows(
                 "signal": channel.label,
                 "from": channel.source,
                 "from_unit": channel.unit,
-                "samples": len(recording.sources[channel.source].value),
+                "samples": samples[channel.source],
+                "left_out": mended.left_out[channel.source],
+                "turns": mended.turns[channel.source],
                 "rate_hz": 1.0 / track.interval_s if len(track.t) > 1 else math.nan,
                 "holes": int(track.holes.sum()) if len(track.t) > 1 else 0,
                 "unit": arm.torque_unit if channel.quantity == "torque" else SI_UNIT[channel.quantity],

@@ -237,24 +237,29 @@ def _cycles(arm: Arm, channels: Sequence[Channel], numbers: NDArray[np.int64], v
 # -- on a grid ------------------------------------------------------------------------------------------------------
 
 
+def times_of(recording: Recording, mapping: Map) -> dict[str, Floats]:
+    """By source: when its samples were taken, s, as the clock says. Errors: ZygosError for a clock that decreases."""
+    clock, sources = mapping.clock, recording.sources
+    if clock.stamped:
+        return {source: samples.stamp for source, samples in sources.items()}
+    counts = unwrap(recording.clock, recording.modulo, recording.clock_stamp / clock.unit_s)
+    if recording.modulo is not None and clock.kind != "sync":
+        # a small step backwards looks like nearly a full turn forwards
+        raw = np.diff(recording.clock)
+        _forwards(clock.source, clock.where, (raw < 0) & (np.mod(raw, recording.modulo) > 0.5 * recording.modulo))
+    return {source: (counts * clock.unit_s)[samples.group] for source, samples in sources.items()}
+
+
 def tracks(recording: Recording, mapping: Map) -> list[Track]:
-    """Each channel of a map over time.
+    """Each channel of a map over time, by its stamps without its delay.
 
     Errors: ZygosError for stamps that decrease or often repeat, and for a channel of fewer than 8 samples.
     """
-    clock = mapping.clock
-    times = np.zeros(0)
-    if not clock.stamped:
-        counts = unwrap(recording.clock, recording.modulo, recording.clock_stamp / clock.unit_s)
-        if recording.modulo is not None:
-            # a small step backwards looks like nearly a full turn forwards
-            raw = np.diff(recording.clock)
-            _forwards(clock.source, clock.where, (raw < 0) & (np.mod(raw, recording.modulo) > 0.5 * recording.modulo))
-        times = counts * clock.unit_s
+    times = times_of(recording, mapping)
     out = []
     for channel in mapping.channels:
         samples = recording.sources[channel.source]
-        t = samples.stamp if clock.stamped else times[samples.group]
+        t = times[channel.source] - channel.delay_s
         x = channel.gain * samples.value + channel.offset
         t, x = t[np.isfinite(x)], x[np.isfinite(x)]
         _forwards(channel.source, channel.where, np.diff(t) < 0)

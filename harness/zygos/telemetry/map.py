@@ -101,6 +101,18 @@ class Channel:
     """File and key in the map, for error messages."""
     place: Place | None = None
     """Of a channel in an MCAP."""
+    in_message: bool = False
+    """Whether the source is a signal of a CAN message."""
+    scale: float = 1.0
+    """Units of the map for one step of the source."""
+    turn: float = math.inf
+    """Steps of the source for one turn of the angle; infinite where it is no angle."""
+    modulo: float | None = None
+    """Steps of the source after which the angle starts again, if the map says so."""
+    missing: float | None = None
+    """Value of the source that means that there is none."""
+    delay_s: float = 0.0
+    """Time from the measurement to its stamp."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +157,8 @@ class SourceSamples:
     stamp: Floats
     """(n,) time after the first value of the recording, s: when it was received, or as its message says; NaN in a
     table."""
+    width: float | None = None
+    """Of an integer signal of a DBC: the number after which it starts again."""
 
 
 @dataclass(frozen=True)
@@ -227,6 +241,14 @@ def read_map(top: Table, arm: Arm, kind: Input) -> Map:
     _check_once(channels)
     clock = _clock(top.table("time", "What says when a value was measured."), arm, kind)
     top.finish()
+    for channel in channels:
+        if channel.delay_s and clock.kind == "sync":
+            other = "column" if kind == "table" else "receive"
+            raise ZygosError(
+                f'{channel.where}.delay_s: with source = "sync" values are not interpolated, and cannot be moved in '
+                f'time; remedy: write source = "{other}" and interpolation = "cubic" in [time]'
+                + (", with a column of time" if kind == "table" else ", without signal and modulo")
+            )
     return Map(clock, tuple(channels))
 
 
@@ -337,6 +359,25 @@ def _channel(
         raise table.error("scale", "is 0", "write the units per value of the source")
     if sign == 0:
         raise table.error("sign", "is 0", "write 1 or -1")
+    delay_s = table.number(
+        "delay_s", "Time from the measurement to its stamp. It is subtracted from the stamps.", 0.0, unit="s"
+    )
+    missing = modulo = None
+    if table.has("missing"):
+        missing = table.number(
+            "missing",
+            "Value of the source that means that there is none. Such samples are left out, with the rest of their "
+            "message or row.",
+            otherwise="every value is one",
+        )
+    if quantity == "angle" and table.has("modulo"):
+        modulo = table.number(
+            "modulo",
+            "Number of units after which the angle starts again.",
+            above=0.0,
+            unit=unit,
+            otherwise="the width of an integer signal in the DBC; elsewhere the angle does not start again",
+        )
     # angles and torques may be given on either side of the gear; `Cycles` has angles after it and torques before it
     if quantity == "torque":
         geared = _beyond_gear(table, arm)
@@ -347,8 +388,25 @@ def _channel(
         )
     factor = sign * si / (arm.joints[index].gear_ratio if geared else 1.0)
     table.finish()
-    where = f"{table.file}: {table.where}"
-    return Channel(label, field, index, quantity, source, unit, factor * scale, factor * offset, bare, where, place)
+    return Channel(
+        label,
+        field,
+        index,
+        quantity,
+        source,
+        unit,
+        factor * scale,
+        factor * offset,
+        bare,
+        f"{table.file}: {table.where}",
+        place,
+        in_message=kind == "log",
+        scale=abs(scale),
+        turn=2 * math.pi / abs(si * scale) if quantity == "angle" else math.inf,
+        modulo=None if modulo is None else modulo / abs(scale),
+        missing=missing,
+        delay_s=delay_s,
+    )
 
 
 def _torque_unit(table: Table, unit: str, arm: Arm) -> float:
@@ -581,12 +639,14 @@ def read_can(
         wanted.setdefault(key, (message, set()))[1].add(signal.name)
         return signal
 
+    widths: dict[str, float | None] = {}
     for channel in mapping.channels:
-        _check_unit(channel, want(channel.source, channel.where))
+        signal = want(channel.source, channel.where)
+        _check_unit(channel, signal)
+        widths[channel.source] = _width(signal)
     if clock.source:
-        signal = want(clock.source, clock.where)
-        if modulo is None and not signal.is_float:
-            modulo = 2.0**signal.length * abs(float(signal.scale))
+        width = _width(want(clock.source, clock.where))
+        modulo = modulo or width
     values: dict[str, list[tuple[float, int, float]]] = {channel.source: [] for channel in mapping.channels}
     ticks: list[tuple[float, float]] = []
     damaged = 0
@@ -622,7 +682,10 @@ def read_can(
             )
     sources = {
         source: SourceSamples(
-            np.array([v for v, _, _ in rows]), np.array([g for _, g, _ in rows]), np.array([s for _, _, s in rows])
+            np.array([v for v, _, _ in rows]),
+            np.array([g for _, g, _ in rows]),
+            np.array([s for _, _, s in rows]),
+            widths[source],
         )
         for source, rows in values.items()
     }
@@ -635,6 +698,11 @@ def read_can(
         damaged,
         tuple(f"{path} {text}" for text in missing),
     )
+
+
+def _width(signal: Any) -> float | None:
+    """Number after which an integer signal starts again, in its unit; None for a float."""
+    return None if signal.is_float else 2.0**signal.length * abs(float(signal.scale))
 
 
 def _decode(message: Message, frame: can.Message) -> dict[str, Any] | None:
