@@ -63,7 +63,7 @@ def test_the_declared_noise_is_that_of_smoothed_rates(arm: Arm, ratio: float) ->
     fine_arm = replace(
         arm, joints=tuple(replace(j, motor_encoder=replace(j.motor_encoder, quantum_rad=fine)) for j in arm.joints)
     )
-    noise = grid_noise(Track(CHANNEL, t, x), fine_arm, MAP)
+    noise = grid_noise(Track(CHANNEL, t, x), np.arange(1.0, 39.0, PERIOD), fine_arm, MAP)
     assert noise.kept == pytest.approx(1.0 / math.sqrt(ratio), rel=0.02)
     declared = noisier(fine_arm, [CHANNEL], [noise]).joints[1].motor_encoder
     assert declared.counts is None
@@ -76,7 +76,7 @@ def test_the_declared_noise_is_that_of_smoothed_rates(arm: Arm, ratio: float) ->
 def test_noise_beyond_the_declared_one_is_added(arm: Arm) -> None:
     t = stamps(5.0, 60.0, 0)
     x = np.sin(t) + 0.02 * np.random.default_rng(1).standard_normal(len(t))
-    noise = grid_noise(Track(CHANNEL, t, x), arm, MAP)
+    noise = grid_noise(Track(CHANNEL, t, x), np.arange(1.0, 59.0, PERIOD), arm, MAP)
     own = arm.joints[1].motor_encoder.sigma_rad
     assert noise.kept == pytest.approx(math.sqrt(0.2), rel=0.01)
     assert noise.added == pytest.approx(math.sqrt(0.2 * (0.02**2 - own**2)), rel=0.05)

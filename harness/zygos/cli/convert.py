@@ -165,9 +165,11 @@ def _print(content: dict[str, Any]) -> None:
     how = "by its cycle counter" if content["interpolation"] is None else f"{content['interpolation']} interpolation"
     left = ", ".join(f"{count:,} {reason}" for reason, count in content["left_out"].items() if count)
     turns = sum(row["turns"] for row in content["signals"])
+    bridged, longest = (max(row[key] for row in content["signals"]) for key in ("bridged", "longest_bridged_s"))
     say(
         f"{content['run']}: {counted(content['cycles'], 'cycle')} at {1 / content['period_s']:g} Hz {how}, "
         f"{counted(content['breaks'], 'break')}, left out: {left or 'nothing'}"
+        + (f", {counted(bridged, 'gap')} of up to {1e3 * longest:.3g} ms bridged" if bridged else "")
         + (f", {counted(turns, 'turn')} unwrapped" if turns else "")
         + " · output: "
         + ("table of cycles" if content["door"] == "cycle" else "CAN frames")

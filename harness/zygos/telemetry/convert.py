@@ -27,9 +27,11 @@ from zygos.telemetry.grid import (
     REFUSED_MAX,
     Noise,
     Track,
+    bridged,
     decimated,
     declared_sigma,
     grid_noise,
+    instants,
     regrid,
     synchronous,
     times_of,
@@ -66,6 +68,8 @@ def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track]
         lost = {"incomplete cycles": run.incomplete, "repeated cycles": run.repeated}
         return tracks_of(run.cycles, arm, mapping), run.cycles, lost
     found = tracks(recording, mapping)
+    at = instants(found, arm, mapping)
+    found = [bridged(track, at, arm, mapping) for track in found]
     cycles = regrid(found, arm, mapping)
     missing = int(cycles.sync[-1]) + 1 - len(cycles)
     return found, cycles, {"instants in holes": missing, "repeated stamps": sum(track.repeated for track in found)}
@@ -75,7 +79,8 @@ def noise_of(found: Sequence[Track], mapping: Map, arm: Arm) -> list[Noise]:
     """What becomes of the noise of each channel."""
     if mapping.clock.kind == "sync":
         return [Noise()] * len(found)
-    return [grid_noise(track, arm, mapping) for track in found]
+    at = instants(found, arm, mapping)
+    return [grid_noise(track, at, arm, mapping) for track in found]
 
 
 def check_noise(arm: Arm, mapping: Map, noise: Sequence[Noise]) -> None:
@@ -237,6 +242,8 @@ def signal_rows(
                 "turns": mended.turns[channel.source],
                 "rate_hz": 1.0 / track.interval_s if len(track.t) > 1 else math.nan,
                 "holes": int(track.holes.sum()) if len(track.t) > 1 else 0,
+                "bridged": int((track.gaps_s <= track.bridge_s).sum()),
+                "longest_bridged_s": float(max(track.gaps_s[track.gaps_s <= track.bridge_s], default=0.0)),
                 "unit": arm.torque_unit if channel.quantity == "torque" else SI_UNIT[channel.quantity],
                 "smallest": float(values.min()),
                 "largest": float(values.max()),

@@ -31,8 +31,8 @@ from zygos.telemetry.map import Channel, Field, Map, Recording
 Floats = NDArray[np.float64]
 InterpolationMethod = Literal["hold", "linear", "cubic", "quintic"]
 
-HOLE = 2.5
-"""A pause of a signal that is longer than that many of its usual intervals is a hole."""
+GAP = 2.5
+"""A pause of a signal that is longer than that many of its usual intervals is a gap: a hole, or a bridged one."""
 MANY_REPEATED = 0.05
 """Share of repeated stamps above which a clock is too coarse for its signal."""
 SPAN_MAX = 50
@@ -46,6 +46,12 @@ _REACH = 2.0
 """Half width of an average of angles or rates, in periods."""
 _FEWEST = 6
 """Fewest samples in an average."""
+_PIECES = 40
+"""Least length of a recording, in lengths of a gap, from which it is known whether the gap can be bridged."""
+_BRIDGED_SHARE, _BRIDGED_Z = 0.98, 4.0
+"""Share of the values in a gap that may differ by so many standard deviations of their noise at the most."""
+_ON_GRID = 1e-3
+"""Share of the usual interval by which a sample may miss an instant of the grid of which it is the value."""
 _CHUNK = 20_000
 """Number of averages that are computed together."""
 
@@ -67,6 +73,8 @@ class Track:
     """(n,)"""
     repeated: int = 0
     """Number of samples that were left out because a later one has the same stamp."""
+    bridge_s: float = 0.0
+    """Longest gap that is bridged, s."""
 
     @property
     def interval_s(self) -> float:
@@ -77,8 +85,14 @@ class Track:
     def holes(self) -> NDArray[np.bool_]:
         """(n-1,) whether each interval is a hole."""
         gaps = np.diff(self.t)
-        out: NDArray[np.bool_] = gaps > HOLE * np.median(gaps)
+        out: NDArray[np.bool_] = gaps > max(GAP * float(np.median(gaps)), self.bridge_s)
         return out
+
+    @property
+    def gaps_s(self) -> Floats:
+        """Lengths of the gaps, holes and bridged ones, s."""
+        gaps = np.diff(self.t)
+        return gaps[gaps > GAP * np.median(gaps)] if len(gaps) else gaps
 
     @property
     def runs(self) -> list[slice]:
@@ -388,12 +402,9 @@ def linear_mean(track: Track, at: Floats, period_s: float) -> Floats:
     return out
 
 
-def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: InterpolationMethod | None = None) -> Cycles:
-    """Tracks on the grid of the arm's period, which begins with the first instant at which all of them have a value.
-
-    Readings without a track are zero. kind: an interpolation that replaces the map's. Errors: ZygosError if there is no
-    such instant.
-    """
+def instants(found: Sequence[Track], arm: Arm, mapping: Map) -> Floats:
+    """(m,) the instants of the grid, s: from the first at which all tracks have begun. Errors: ZygosError if there is
+    none."""
     h = arm.period_s
     begin = max(track.t[0] for track in found)
     end = min(track.t[-1] for track in found)
@@ -403,18 +414,44 @@ def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Interpolatio
             "in which all of them are present at the same time"
         )
     check_span(end - begin, max(len(track.t) * track.interval_s for track in found), mapping)
-    at = begin + h * np.arange(math.floor((end - begin) / h + 1e-9) + 1)
-    values = np.zeros((len(at), len(found)))
-    for column, track in enumerate(found):
-        chosen = kind or kind_of(track.channel, mapping, arm)
-        if chosen == "hold":
-            shift = h if arm.torque_law == "applied_previous_cycle" else 0.0
-            values[:, column] = held_mean(track, at - shift, h)
-        elif kind is None and decimated(track, h):
-            torque = track.channel.field == "tau"
-            values[:, column] = linear_mean(track, at, h) if torque else averaged(track, at, h).value
-        else:
-            values[:, column] = interpolate(track, at, chosen)
+    at: Floats = begin + h * np.arange(math.floor((end - begin) / h + 1e-9) + 1)
+    return at
+
+
+def resampled(track: Track, at: Floats, arm: Arm, mapping: Map, *, kind: InterpolationMethod | None = None) -> Floats:
+    """(m,) values of a track at instants of the grid; NaN in holes and where it is unknown. A sample that lies on an
+    instant is its value. kind: as in `regrid`."""
+    h = arm.period_s
+    chosen = kind or kind_of(track.channel, mapping, arm)
+    if kind is None and decimated(track, h) and chosen != "hold":
+        torque = track.channel.field == "tau"
+        return linear_mean(track, at, h) if torque else averaged(track, at, h).value
+    if chosen == "hold":
+        at = at - h if arm.torque_law == "applied_previous_cycle" else at
+        out, as_it_is = held_mean(track, at, h), track.interval_s > h * (1.0 - _ON_GRID)
+    else:
+        out, as_it_is = interpolate(track, at, chosen), True
+    if as_it_is:
+        nearest, on = _on_grid(track, at)
+        out[on] = track.x[nearest[on]]
+    return out
+
+
+def _on_grid(track: Track, at: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(m,) the sample that is nearest to each instant, and whether it lies on it."""
+    after = np.clip(np.searchsorted(track.t, at), 1, len(track.t) - 1)
+    nearest = np.where(at - track.t[after - 1] < track.t[after] - at, after - 1, after)
+    return nearest, np.abs(track.t[nearest] - at) <= _ON_GRID * track.interval_s
+
+
+def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: InterpolationMethod | None = None) -> Cycles:
+    """Tracks on the grid of the arm's period, which begins with the first instant at which all of them have a value.
+
+    Readings without a track are zero. kind: an interpolation that replaces the map's. Errors: ZygosError if there is no
+    such instant.
+    """
+    at = instants(found, arm, mapping)
+    values = np.column_stack([resampled(track, at, arm, mapping, kind=kind) for track in found])
     known = np.isfinite(values)
     whole = np.all(known, axis=1)
     if not whole.any():
@@ -426,6 +463,41 @@ def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Interpolatio
             "it at even intervals"
         )
     return _cycles(arm, [track.channel for track in found], np.flatnonzero(whole), values[whole])
+
+
+def bridged(track: Track, at: Floats, arm: Arm, mapping: Map) -> Track:
+    """The track with the longest gap over which its values at the instants (m,) are as good as the others.
+
+    As long a piece is left out elsewhere, everywhere in turn: nearly all values in it must remain within what their
+    noise allows. So the motion decides, by all frequencies that it has.
+    """
+    lengths = np.unique(np.ceil(track.gaps_s / track.interval_s - 1e-6)).astype(int)
+    lengths = lengths[lengths * _PIECES <= len(track.t)]
+    if not len(lengths):
+        return track
+    change = grid_noise(track, at, arm, mapping)
+    sigma = math.hypot(change.kept * declared_sigma(arm, track.channel), change.added)
+    if track.channel.field == "tau" and decimated(track, arm.period_s):  # of which no noise is declared
+        sigma = max(sigma, change.kept * interpolation_sigma(track, "linear", 0.0))
+    for length in lengths:
+        longer = replace(track, bridge_s=(length + 0.5) * track.interval_s)
+        errors = np.concatenate([_bridging_errors(longer, at, arm, mapping, length, shift) for shift in range(4)])
+        if len(errors) == 0 or np.mean(errors > _BRIDGED_Z * sigma) > 1.0 - _BRIDGED_SHARE:
+            break
+        track = longer
+    return track
+
+
+def _bridging_errors(track: Track, at: Floats, arm: Arm, mapping: Map, length: int, shift: int) -> Floats:
+    """(k,) by how much values inside of gaps change that are made in every fourth stretch of as many intervals;
+    infinite where they become unknown."""
+    index = (np.arange(len(track.t)) - shift * length) % (4 * length)
+    thinned = replace(track, t=track.t[(index == 0) | (index >= length)], x=track.x[(index == 0) | (index >= length)])
+    before = np.searchsorted(track.t, at, side="right") - 1
+    inside = at[(index[before] < length) & (before < len(track.t) - 1)]
+    whole = resampled(track, inside, arm, mapping)
+    errors = np.abs(resampled(thinned, inside, arm, mapping) - whole)[np.isfinite(whole)]
+    return np.where(np.isfinite(errors), errors, np.inf)
 
 
 # -- the error of the grid ------------------------------------------------------------------------------------------
@@ -441,31 +513,35 @@ class Noise:
     """Standard deviation in addition to that, SI units."""
 
 
-def grid_noise(track: Track, arm: Arm, mapping: Map) -> Noise:
-    """The noise of a track's values on the grid of the arm's period.
+def grid_noise(track: Track, at: Floats, arm: Arm, mapping: Map) -> Noise:
+    """The noise of a track's values at instants (m,) of the grid of the arm's period.
 
     An average keeps the density of the noise, so that its standard deviation is multiplied by sqrt(interval / period).
     If the samples scatter more than the arm file says about the polynomials through them, the excess is added. The
-    average of a torque has its integral, to which nothing is added.
+    average of a torque has its integral, to which nothing is added. Interpolation adds nothing to samples on the grid.
     """
     channel, sigma = track.channel, declared_sigma(arm, track.channel)
-    if not decimated(track, arm.period_s):
-        return Noise(1.0, interpolation_sigma(track, kind_of(channel, mapping, arm), sigma))
+    kind = kind_of(channel, mapping, arm)
+    if kind == "hold" or not decimated(track, arm.period_s):
+        return Noise(1.0, interpolation_sigma(track, kind, sigma, at))
     kept = math.sqrt(track.interval_s / arm.period_s)
     if channel.field == "tau":
         return Noise(kept)
-    at = np.arange(track.t[0], track.t[-1], arm.period_s)
     variance = averaged(track, at, arm.period_s).variance
     known = variance[np.isfinite(variance)]
     return Noise(kept, kept * math.sqrt(max(0.0, float(np.mean(known)) - sigma**2)) if len(known) else 0.0)
 
 
-def interpolation_sigma(track: Track, kind: InterpolationMethod, sigma: float) -> float:
+def interpolation_sigma(track: Track, kind: InterpolationMethod, sigma: float, at: Floats | None = None) -> float:
     """Standard deviation of a value on the grid in addition to the declared sigma of its sensor, SI units.
 
     Samples are left out and predicted from the others, once from every second and once from every fourth. The part that
     grows with the spacing by the order of the interpolation is its own error; with all samples it is smaller by that
     factor. The rest is noise of the samples and their stamps; the part that exceeds sigma is added.
+
+    at: (m,) instants of the grid. Towards a sample the error decreases at least like 4 f (1 - f), with the share f of
+    the interval; at an instant on a sample it is zero. So is the rest, where stamps are even: it is then part of the
+    signal. Without `at`, values lie halfway between samples.
     """
     order, passed = _ORDER[kind], _PASSED[kind]
     two, four = (_left_out(track, kind, step) for step in (2, 4))
@@ -473,7 +549,19 @@ def interpolation_sigma(track: Track, kind: InterpolationMethod, sigma: float) -
     own = max(0.0, (four - two) / (growth - 1.0))
     own = min(own, two)
     noise = (two - own) / (1.0 + passed)
-    return math.sqrt(own / growth + max(0.0, noise - sigma**2))
+    near = 1.0 if at is None else _between(track, at, kind)
+    even = track.stamp_sigma_s <= _ON_GRID * track.interval_s
+    return math.sqrt(near * own / growth + (near if even else 1.0) * max(0.0, noise - sigma**2))
+
+
+def _between(track: Track, at: Floats, kind: InterpolationMethod) -> float:
+    """Mean square of the interpolation's error at instants (m,), in units of that halfway between two samples."""
+    _, on = _on_grid(track, at)
+    if kind == "hold":
+        return 0.0 if on.all() else 1.0
+    after = np.clip(np.searchsorted(track.t, at), 1, len(track.t) - 1)
+    share = np.clip((at - track.t[after - 1]) / (track.t[after] - track.t[after - 1]), 0.0, 1.0)
+    return float(np.mean(np.where(on, 0.0, 4.0 * share * (1.0 - share)) ** 2))
 
 
 def _left_out(track: Track, kind: InterpolationMethod, step: int) -> float:
