@@ -43,6 +43,8 @@ TURN_SURE = Limit("turn sure", 0.4, "1", "convention",
     "Share of a turn, or of another number at which an angle starts again, that it may move between two samples.")
 SECOND_SOURCE = Limit("second source", 0.05, "1", "convention",
     "Share of samples that lie off above which a second source seems to send them, and the recording is refused.")
+NOISE_ADDED = Limit("noise added", 5.0, "1", "convention",
+    "Noise that the conversion adds, in units of that of the sensor, from which a warning names its cause.")
 
 # The gate
 NOT_WORSE = Limit("not worse", 1.1, "1", "trial",

@@ -26,7 +26,7 @@ from zygos.telemetry.grid import (
     Track,
     held_mean,
     interpolate,
-    interpolation_sigma,
+    interpolation_variance,
     needed_rate,
     regrid,
     synchronous,
@@ -340,7 +340,7 @@ def test_what_the_grid_errs_is_what_it_says(kind: str, how: str) -> None:
         at = 0.05 * np.arange(5, 1190) + 0.011
         error = interpolate(track, at, how) - angle(at)
         assert np.all(np.isfinite(error))
-        stated = math.hypot(sigma, interpolation_sigma(track, how, sigma))
+        stated = math.sqrt(sigma**2 + sum(interpolation_variance(track, how, sigma)))
         shares.append(float(np.sqrt(np.mean(error**2))) / stated)
         assert np.max(np.abs(error)) < 6.0 * stated
     print(kind, how, stated, np.mean(shares))
@@ -351,8 +351,8 @@ def test_what_the_grid_errs_is_what_it_says(kind: str, how: str) -> None:
 def test_a_clean_fast_recording_adds_next_to_nothing() -> None:
     taken, stamped = stamps_of("even", 0.01, 0)
     track = Track(CHANNEL, stamped, angle(taken) + 1e-3 * np.random.default_rng(0).standard_normal(len(taken)))
-    assert interpolation_sigma(track, "cubic", 1e-3) < 2e-4
-    assert interpolation_sigma(track, "cubic", 1e-4) > 5e-4  # the samples err by more than the arm file says
+    assert sum(interpolation_variance(track, "cubic", 1e-3)) < 2e-4**2
+    assert sum(interpolation_variance(track, "cubic", 1e-4)) > 5e-4**2  # the samples err by more than the arm file says
 
 
 def test_the_mean_of_a_held_torque_is_its_impulse() -> None:

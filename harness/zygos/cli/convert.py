@@ -9,8 +9,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from rich.progress import Progress
 
-from zygos.arm import load_arm
+from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.cli.options import Json
 from zygos.cli.shared import not_whole, warn
@@ -24,8 +25,10 @@ from zygos.telemetry.convert import (
     averages_torques,
     check_noise,
     cycles_of,
+    fitting_cutoff_hz,
     mended_recording,
     noise_of,
+    noise_warnings,
     noisier_arm_text,
     refused_share,
     signal_rows,
@@ -40,7 +43,7 @@ from zygos.telemetry.grid import (
     needed_rate,
     noisier,
 )
-from zygos.telemetry.map import Dictionary, Input, Map, load_map, read_can, read_table
+from zygos.telemetry.map import Dictionary, Input, Map, Recording, load_map, read_can, read_table
 from zygos.telemetry.ros import check_mcap, is_mcap, read_mcap
 
 
@@ -60,19 +63,7 @@ def convert_run(
     Flight(receivable(arm) if arm.grounded else arm)
     mapping = load_map(map_file, arm, kind)
     with progress() as bar:
-        task = bar.add_task(f"reading {source.name}", total=None)
-
-        def reading(count: int) -> None:
-            noun = "messages" if kind == "mcap" else "frames"
-            bar.update(task, description=f"reading {source.name}: {count:,} {noun}")
-
-        if kind == "table":
-            recording = read_table(source, mapping)
-        elif kind == "mcap":
-            recording = read_mcap(source, mapping, reading)
-        else:
-            recording = read_can(source, Dictionary.load(dbc), mapping, reading)
-        bar.update(task, description="converting")
+        recording = _read(source, kind, dbc, mapping, bar)
         samples = {source: len(one.value) for source, one in recording.sources.items()}
         mended = mended_recording(recording, mapping, arm)
         recording = mended.recording
@@ -84,7 +75,7 @@ def convert_run(
         else:
             described = replace(noisier(arm, mapping.channels, noise), torque_averaged=averaged or arm.torque_averaged)
             text = noisier_arm_text(chosen, described)
-        check_noise(described, mapping, noise)
+        check_noise(described, found, noise)
         rate, needed = needed_rate(found, arm, mapping)
         # if the motion passes the test with even stamps, it is not too fast
         _, even = needed_rate([track.evened for track in found], arm, mapping) if needed != rate else (rate, needed)
@@ -93,7 +84,10 @@ def convert_run(
         refused = refused_share(described, cycles, frames)
     warn(recording.missing)
     rows = signal_rows(samples, mended, found, cycles, described, noise)
-    warnings = [*mended.warnings] + warnings_of(arm, cycles, described, recording, found, out, refused)
+    cutoff = arm.smoother.cutoff_hz
+    fitting = fitting_cutoff_hz(cycles, described) if cutoff is None else None
+    warnings = [*mended.warnings, *noise_warnings(arm, found, noise)]
+    warnings += warnings_of(arm, cycles, described, recording, found, out, refused)
     content: dict[str, Any] = {
         "input": str(source),
         "map": str(map_file),
@@ -115,6 +109,7 @@ def convert_run(
             "needed_with_even_stamps_hz": even,
             "stamps_sigma_s": stamps_sigma(found),
             "refused_share": refused,
+            "fitting_cutoff_hz": fitting,
         },
         "warnings": warnings,
     }
@@ -122,8 +117,28 @@ def convert_run(
         _print(content)
     if json:
         write_json(json, content)
-    _judge(rate, needed, even, stamps_sigma(found), refused, mapping, out, arm.smoother.cutoff_hz)
+    recorded = 1.0 / max(track.interval_s for track in found) if len(cycles) > 1 else rate
+    faster = "shorten period_s of the arm file" if recorded > 1.2 * rate else "record faster"
+    _judge(content["bandwidth"], faster, mapping, out, arm)
     not_whole(recording.missing)
+
+
+def _read(source: Path, kind: Input, dbc: Sequence[Path], mapping: Map, bar: Progress) -> Recording:
+    """Read the signals of a map, and say how far the reading is."""
+    task = bar.add_task(f"reading {source.name}", total=None)
+
+    def reading(count: int) -> None:
+        noun = "messages" if kind == "mcap" else "frames"
+        bar.update(task, description=f"reading {source.name}: {count:,} {noun}")
+
+    if kind == "table":
+        recording = read_table(source, mapping)
+    elif kind == "mcap":
+        recording = read_mcap(source, mapping, reading)
+    else:
+        recording = read_can(source, Dictionary.load(dbc), mapping, reading)
+    bar.update(task, description="converting")
+    return recording
 
 
 def _check_names(source: Path, dbc: Sequence[Path], out: Path, kind: Input) -> None:
@@ -178,22 +193,25 @@ def _print(content: dict[str, Any]) -> None:
         say(f"check: {line}")
 
 
-def _judge(
-    rate: float,
-    needed: float | None,
-    even: float | None,
-    stamps_s: float,
-    refused: float | None,
-    mapping: Map,
-    out: Path,
-    cutoff_hz: float | None,
-) -> None:
-    """Raise Undecided if the motion is faster than the recording, or seems so because of its time stamps."""
+def _judge(bandwidth: dict[str, Any], faster: str, mapping: Map, out: Path, arm: Arm) -> None:
+    """Raise Undecided if the motion is faster than the recording, or seems so because of its time stamps.
+
+    faster: what makes the grid faster.
+    """
+    rate, needed, refused = (bandwidth[key] for key in ("rate_hz", "needed_hz", "refused_share"))
+    even, stamps_s = bandwidth["needed_with_even_stamps_hz"], bandwidth["stamps_sigma_s"]
+    cutoff_hz = arm.smoother.cutoff_hz
+    smoother = "make the motion smoother: the test counts vibration and jerks as motion"
+    if arm.grounded and bandwidth["fitting_cutoff_hz"] is not None:
+        smoother = (
+            f"write cutoff_hz = {bandwidth['fitting_cutoff_hz']:g} in [smoother] of the arm file: twice the frequency "
+            "below which 99 % of the square of the rates lies"
+        )
     jitter = f"the time stamps jitter by {1e3 * stamps_s:.3g} ms ({100 * stamps_s * rate:.0f} % of the interval)"
     if cutoff_hz is not None and needed is not None and needed > rate * 1.001:
         raise Undecided(
-            f"{rate:.4g} Hz; a cut-off of {cutoff_hz:g} Hz needs >= {needed:.4g} Hz ({out} written); remedy: record "
-            "faster, or lower cutoff_hz of the arm file"
+            f"{rate:.4g} Hz; a cut-off of {cutoff_hz:g} Hz needs >= {needed:.4g} Hz ({out} written); remedy: {faster}, "
+            "or lower cutoff_hz of the arm file"
         )
     if needed is None or needed > rate * 1.001:
         if even is not None and even <= rate * 1.001:
@@ -205,10 +223,7 @@ def _judge(
         # a number that even stamps reduce is not due to the motion alone
         known = [one for one in (needed, even) if one is not None]
         wanted = f">= {min(known):.4g} Hz" if known else "more than the searched range"
-        raise Undecided(
-            f"{rate:.4g} Hz; this motion needs {wanted} ({out} written); remedy: record faster, or, if the recording "
-            "is faster, shorten period_s of the arm file, or move more slowly"
-        )
+        raise Undecided(f"{rate:.4g} Hz; this motion needs {wanted} ({out} written); remedy: {faster}, or {smoother}")
     if cutoff_hz is None and refused is not None and refused > REFUSED_MAX:
         raise Undecided(
             f"{refused:.0%} of the instants fail the bandwidth test on the grid, though the telemetry is fast enough "

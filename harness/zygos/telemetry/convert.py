@@ -13,8 +13,10 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import ANGLE_STEP, TORQUE_STEP, Arm
 from zygos.can import bus
+from zygos.cutoff import HALF_WIDTH_MAX, rate_cutoff
 from zygos.errors import ZygosError
 from zygos.files.inputs import local
 from zygos.files.output import cannot_be_written, counted, write_text
@@ -49,6 +51,8 @@ _ANGLE_MAX, _TORQUE_MAX, _RATE_MAX = 16 * math.pi, (2**23 - 1) * TORQUE_STEP, 4.
 """Largest angle, torque and rate that the CAN frames can carry, SI units (docs/wire.md)."""
 
 
+_PEAK = 20.0
+"""Ratio to its surroundings, or to noise, from which power in a spectrum is that of a vibration or of motion."""
 SPARSE = 10.0
 """Periods of the arm between two samples from which a warning is given."""
 UNLIKE = 5.0
@@ -83,14 +87,92 @@ def noise_of(found: Sequence[Track], mapping: Map, arm: Arm) -> list[Noise]:
     return [grid_noise(track, at, arm, mapping) for track in found]
 
 
-def check_noise(arm: Arm, mapping: Map, noise: Sequence[Noise]) -> None:
-    """Refuse samples so far apart that the angle between them is uncertain by more than a radian."""
-    for channel, sigma in zip(mapping.channels, (one.added for one in noise), strict=True):
+def check_noise(arm: Arm, found: Sequence[Track], noise: Sequence[Noise]) -> None:
+    """Refuse samples between which the angle is uncertain by more than a radian."""
+    for track, change in zip(found, noise, strict=True):
+        channel = track.channel
         if channel.quantity == "angle" and math.sqrt(12.0) * declared_sigma(arm, channel) > 1.0:
             raise ZygosError(
-                f"{channel.where}: between the samples of {channel.source} the angle is uncertain by {sigma:.2g} rad; "
-                "remedy: record faster, and check unit and stamps"
+                f"{channel.where}: between the samples of {channel.source} the angle is uncertain by "
+                f"{change.added:.2g} rad: {_cause(track, change, arm)}, or check its unit and that of the time"
             )
+
+
+def noise_warnings(arm: Arm, found: Sequence[Track], noise: Sequence[Noise]) -> list[str]:
+    """Warnings of values whose noise on the grid is many times that of the sensor, with the cause. arm: as declared."""
+    warnings = []
+    for track, change in zip(found, noise, strict=True):
+        sigma = change.kept * declared_sigma(arm, track.channel)
+        if sigma > 0.0 and change.added > limits.NOISE_ADDED.value * sigma:
+            warnings.append(
+                f"{track.channel.label}: conversion makes the noise {change.added / sigma:.3g} times as large as that "
+                f"of the arm file: {_cause(track, change, arm)}"
+            )
+    return warnings
+
+
+def _cause(track: Track, change: Noise, arm: Arm) -> str:
+    """Why the values of a track on the grid are noisy, and the remedy."""
+    if change.kept * track.rate_rms * track.stamp_sigma_s > math.sqrt(0.5) * change.added:
+        return (
+            f"its time stamps jitter by {1e3 * track.stamp_sigma_s:.3g} ms while it moves; remedy: a cycle counter, or "
+            "a time that is taken with the sample (recording faster does not help)"
+        )
+    if change.by_motion:
+        return "it changes much from sample to sample; remedy: record it faster"
+    peak = _vibration_hz(track)
+    most = f", most at {peak:.3g} Hz," if peak else ""
+    return (
+        f"its samples scatter{most} about a smooth motion by {change.added / change.kept:.3g} "
+        f"{SI_UNIT[track.channel.quantity]}, more than the arm file says; remedy: "
+        + ("avoid that vibration" if peak else "declare the noise of the sensor in the arm file")
+    )
+
+
+def _vibration_hz(track: Track) -> float | None:
+    """Frequency of a vibration that stands out from what is faster than a tenth of the samples' rate, Hz."""
+    run = max(track.runs, key=lambda one: one.stop - one.start)
+    x = np.diff(track.x[run])
+    power = np.abs(np.fft.rfft(x * np.hanning(len(x)))) ** 2
+    power[: len(x) // 10] = 0.0
+    fast = power[len(x) // 10 :]
+    if len(fast) < 8 or fast.max() < _PEAK * np.median(fast):
+        return None
+    return float(np.argmax(power) / (len(x) * track.interval_s))
+
+
+def motion_hz(cycles: Cycles, arm: Arm) -> float | None:
+    """Frequency below which 99 % of the square of each joint's rate lies, without the noise that the arm file states,
+    Hz; None where the longest piece of the run has fewer than 64 cycles, or nothing moves."""
+    edges = np.flatnonzero(np.concatenate([[1], np.diff(cycles.sync.astype(np.int64)) != 1, [1]]))
+    k = int(np.argmax(np.diff(edges)))
+    piece = slice(int(edges[k]), int(edges[k + 1]))
+    n = piece.stop - piece.start - 1
+    if n < 63:
+        return None
+    window = np.hanning(n)
+    hz = np.fft.rfftfreq(n, arm.period_s)
+    found = 0.0
+    for readings, encoders in (
+        (cycles.q, [joint.link_encoder for joint in arm.joints]),
+        (cycles.theta, [joint.motor_encoder for joint in arm.joints]),
+    ):
+        for angle, encoder in zip(readings[piece].T, encoders, strict=True):
+            power = np.abs(np.fft.rfft(np.diff(angle) * window)) ** 2
+            white = 2.0 * encoder.sigma_rad**2 * np.sum(window**2) * (1.0 - np.cos(2.0 * np.pi * hz * arm.period_s))
+            total = np.cumsum(np.where(power > _PEAK * white, power, 0.0))
+            if total[-1] > 0.0:
+                found = max(found, float(hz[np.searchsorted(total, 0.99 * total[-1])]))
+    return found or None
+
+
+def fitting_cutoff_hz(cycles: Cycles, arm: Arm) -> float | None:
+    """A cut-off that suits the motion, twice the frequency of `motion_hz`, if the period allows it; Hz."""
+    motion = motion_hz(cycles, arm)
+    if motion is None:
+        return None
+    shortest, longest = (rate_cutoff(width, 4) / arm.period_s for width in (HALF_WIDTH_MAX, 3))
+    return float(f"{min(max(2.0 * motion, 1.01 * shortest), 0.99 * longest):.2g}")
 
 
 def averages_torques(found: Sequence[Track], arm: Arm) -> bool:

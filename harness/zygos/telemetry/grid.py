@@ -478,7 +478,7 @@ def bridged(track: Track, at: Floats, arm: Arm, mapping: Map) -> Track:
     change = grid_noise(track, at, arm, mapping)
     sigma = math.hypot(change.kept * declared_sigma(arm, track.channel), change.added)
     if track.channel.field == "tau" and decimated(track, arm.period_s):  # of which no noise is declared
-        sigma = max(sigma, change.kept * interpolation_sigma(track, "linear", 0.0))
+        sigma = max(sigma, change.kept * math.sqrt(sum(interpolation_variance(track, "linear", 0.0))))
     for length in lengths:
         longer = replace(track, bridge_s=(length + 0.5) * track.interval_s)
         errors = np.concatenate([_bridging_errors(longer, at, arm, mapping, length, shift) for shift in range(4)])
@@ -511,6 +511,8 @@ class Noise:
     """Factor of the declared standard deviation."""
     added: float = 0.0
     """Standard deviation in addition to that, SI units."""
+    by_motion: bool = False
+    """Whether most of it is the error of the interpolation, which a faster recording reduces."""
 
 
 def grid_noise(track: Track, at: Floats, arm: Arm, mapping: Map) -> Noise:
@@ -523,7 +525,8 @@ def grid_noise(track: Track, at: Floats, arm: Arm, mapping: Map) -> Noise:
     channel, sigma = track.channel, declared_sigma(arm, track.channel)
     kind = kind_of(channel, mapping, arm)
     if kind == "hold" or not decimated(track, arm.period_s):
-        return Noise(1.0, interpolation_sigma(track, kind, sigma, at))
+        own, rest = interpolation_variance(track, kind, sigma, at)
+        return Noise(1.0, math.sqrt(own + rest), own > rest)
     kept = math.sqrt(track.interval_s / arm.period_s)
     if channel.field == "tau":
         return Noise(kept)
@@ -532,8 +535,11 @@ def grid_noise(track: Track, at: Floats, arm: Arm, mapping: Map) -> Noise:
     return Noise(kept, kept * math.sqrt(max(0.0, float(np.mean(known)) - sigma**2)) if len(known) else 0.0)
 
 
-def interpolation_sigma(track: Track, kind: InterpolationMethod, sigma: float, at: Floats | None = None) -> float:
-    """Standard deviation of a value on the grid in addition to the declared sigma of its sensor, SI units.
+def interpolation_variance(
+    track: Track, kind: InterpolationMethod, sigma: float, at: Floats | None = None
+) -> tuple[float, float]:
+    """Variance of a value on the grid in addition to that of the declared sigma of its sensor, SI units: what the
+    interpolation errs, and the rest.
 
     Samples are left out and predicted from the others, once from every second and once from every fourth. The part that
     grows with the spacing by the order of the interpolation is its own error; with all samples it is smaller by that
@@ -551,7 +557,7 @@ def interpolation_sigma(track: Track, kind: InterpolationMethod, sigma: float, a
     noise = (two - own) / (1.0 + passed)
     near = 1.0 if at is None else _between(track, at, kind)
     even = track.stamp_sigma_s <= _ON_GRID * track.interval_s
-    return math.sqrt(near * own / growth + (near if even else 1.0) * max(0.0, noise - sigma**2))
+    return near * own / growth, (near if even else 1.0) * max(0.0, noise - sigma**2)
 
 
 def _between(track: Track, at: Floats, kind: InterpolationMethod) -> float:

@@ -241,14 +241,7 @@ def read_map(top: Table, arm: Arm, kind: Input) -> Map:
     _check_once(channels)
     clock = _clock(top.table("time", "What says when a value was measured."), arm, kind)
     top.finish()
-    for channel in channels:
-        if channel.delay_s and clock.kind == "sync":
-            other = "column" if kind == "table" else "receive"
-            raise ZygosError(
-                f'{channel.where}.delay_s: with source = "sync" values are not interpolated, and cannot be moved in '
-                f'time; remedy: write source = "{other}" and interpolation = "cubic" in [time]'
-                + (", with a column of time" if kind == "table" else ", without signal and modulo")
-            )
+    _check_delays(channels, clock, kind)
     return Map(clock, tuple(channels))
 
 
@@ -261,6 +254,17 @@ def _check_once(channels: Sequence[Channel]) -> None:
             raise ZygosError(
                 f"{channel.where}: {channel.source} is already that of {other.label}; remedy: name the source of "
                 f"{channel.label}, or correct that of {other.label}"
+            )
+
+
+def _check_delays(channels: Sequence[Channel], clock: Clock, kind: Input) -> None:
+    """Refuse a delay where nothing can be moved in time."""
+    for channel in channels:
+        if channel.delay_s and clock.kind == "sync":
+            other = '"column", column and unit' if kind == "table" else '"receive", without signal and modulo'
+            raise ZygosError(
+                f'{channel.where}.delay_s: with source = "sync" values are not interpolated, and cannot be moved in '
+                f'time; remedy: write in [time] source = {other}, and interpolation = "cubic"'
             )
 
 

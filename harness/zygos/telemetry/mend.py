@@ -163,9 +163,8 @@ class _Signal:
         usual = float(values[np.argmax(times)])
         same = len(found) >= _SAME and times.max() >= 0.8 * len(found)
         said = (
-            f"{channel.source}: {counted(len(found), 'sample')} of {len(self.x):,} {'lie' if len(found) > 1 else 'lies'} "
-            f"far from what {'their' if len(found) > 1 else 'its'} neighbours say, first {self._at(found[0])} "
-            f"({self.x[found[0]]:.6g}{f'; {times.max():,} are {usual:.6g}' if same else ''})"
+            f"{channel.source}: {counted(len(found), 'sample')} of {len(self.x):,} far from what the neighbours say, "
+            f"first {self._at(found[0])} ({self.x[found[0]]:.6g}{f'; {times.max():,} are {usual:.6g}' if same else ''})"
         )
         if not many:
             what = "a second source, or a code for no value, sends this value; " if same else ""
@@ -230,8 +229,8 @@ class _Signal:
         raise ZygosError(
             f"{channel.where}: {channel.source} jumps by about {period * channel.scale:.6g} {channel.unit} in "
             f"{counted(max(times, 1), 'place')}, first {self._at(k + 1)} ({x[k]:.6g}, then {x[k + 1]:.6g}), which no "
-            f"motion does{stated}; remedy: write modulo = {period * channel.scale:.12g} there if the angle starts again "
-            "after that, else cut the recording before it"
+            f"motion does{stated}; remedy: write modulo = {period * channel.scale:.12g} there if the angle starts "
+            "again after that, else cut the recording before it"
         )
 
     def _check_turns(self, turned: Floats, modulo: float) -> None:
@@ -277,6 +276,5 @@ def _far(x: Floats, found: Places) -> Places:
     others = np.delete(x, found)
     low, high = float(others.min()), float(others.max())
     outside = (x[found] < low - (high - low)) | (x[found] > high + (high - low))
-    values, which, times = np.unique(x[found], return_inverse=True, return_counts=True)
+    _, which, times = np.unique(x[found], return_inverse=True, return_counts=True)
     return found[outside | (times[which] >= max(_SAME, 0.8 * len(found)))]
-
