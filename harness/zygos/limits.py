@@ -37,6 +37,8 @@ OUTLIER_WINDOW = Limit("outlier window", 12, "1", "convention",
     "Samples on each side whose second differences say what varies.")
 OUTLIER_BURST = Limit("outlier burst", 4, "1", "convention",
     "Samples next to each other that may lie off.")
+OUTLIERS_MANY = Limit("outliers many", 0.005, "1", "convention",
+    "Share of samples that lie off from which on others next to them do as well.")
 TURN_NEAR = Limit("turn near", 0.05, "1", "convention",
     "Share by which a step may differ from a turn of the angle, or from another number at which it starts again.")
 TURN_SURE = Limit("turn sure", 0.4, "1", "convention",

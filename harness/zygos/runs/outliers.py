@@ -6,6 +6,8 @@ differences of the signal vary around it: they contain its noise and its motion 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
@@ -15,6 +17,9 @@ from zygos import limits
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
 
+_SAME, _MOST = 3, 0.6
+"""Number of equal values, and their share, from which on they are a code rather than readings."""
+
 
 def resolution(x: Floats) -> float:
     """Smallest usual step of a signal (n,), in its unit: the quantum where it is coarse."""
@@ -23,52 +28,51 @@ def resolution(x: Floats) -> float:
     return float(np.percentile(moved, 5)) if len(moved) else 0.0
 
 
-def outliers(x: Floats, floor: float, turn: float = np.inf) -> Places:
+def outliers(x: Floats, floor: float, periods: Sequence[float] = ()) -> Places:
     """Positions of isolated samples, or of short bursts, that lie off the course of a signal (n,).
 
     A burst lies off where its first and its last value differ, to the same side, from the neighbours themselves, from
-    the straight line between them and from the straight lines through two neighbours of each side, by many times of
-    what varies around it; behind it, the signal goes on as before. So neither the beginning of a motion nor a step is
-    one. floor: the least variation, in the unit of x. turn: a step of that size is that of an angle that starts again,
-    which is no outlier.
+    the straight line between them and from the slopes on both sides, by many times of what varies around it; behind
+    it, the signal goes on as before. So neither the beginning of a motion nor a step is one. floor: the least
+    variation, in the unit of x. periods: numbers at which an angle may start again; such a step is no outlier.
     """
     kept = np.arange(len(x))
     while len(kept) > 2 * limits.OUTLIER_WINDOW.value:
-        bad = _bursts(x[kept], max(floor, resolution(x[kept])), turn)
+        many = len(x) - len(kept) > limits.OUTLIERS_MANY.value * len(x)
+        bad = _bursts(x[kept], max(floor, resolution(x[kept])), periods, many)
         if not bad.any():
             break
         kept = kept[~bad]
     return np.setdiff1d(np.arange(len(x)), kept)
 
 
-def _bursts(x: Floats, floor: float, turn: float) -> NDArray[np.bool_]:
-    """(n,) the samples of the shortest bursts that lie off."""
+def _bursts(x: Floats, floor: float, periods: Sequence[float], many: bool) -> NDArray[np.bool_]:
+    """(n,) the samples of the shortest bursts that lie off. many: whether outliers may be close to each other."""
     bad = np.zeros(len(x), dtype=np.bool_)
-    around = _Around(x)
+    window = limits.OUTLIER_WINDOW.value
+    around = _Around(x, 3 * window, 3 * window) if many else _Around(x, window, 1)
+    slopes = np.median(sliding_window_view(np.pad(np.diff(x), 1, mode="edge"), 3), axis=1)  # (n-1,) about each step
     for size in range(1, limits.OUTLIER_BURST.value + 1):
-        begin = np.arange(2, len(x) - size - 1)
+        begin = np.arange(3, len(x) - size - 2)
         end = begin + size
         before, after = x[begin - 1], x[end]
-        slopes = before - x[begin - 2], x[end + 1] - after
+        last, first = slopes[begin - 3], slopes[end + 1]
         line = (after - before) / (size + 1)
         off = np.full(len(begin), np.inf)
         for at, value in ((1, x[begin]), (size, x[end - 1])):
-            by = np.array(
-                [
-                    value - before,
-                    value - after,
-                    value - (before + at * line),
-                    value - (before + at * slopes[0]),
-                    value - (after - (size + 1 - at) * slopes[1]),
-                ]
+            by = value - np.array(
+                [before, after, before + at * line, before + at * last, after - (size + 1 - at) * first]
             )
             same = np.all(by > 0, axis=0) | np.all(by < 0, axis=0)
             off = np.minimum(off, np.where(same, np.min(np.abs(by), axis=0), 0.0))
-        steps = np.abs([after - before - (size + 1) * slope for slope in (*slopes, 0.0)])
-        possible = np.abs(off - turn) > limits.TURN_NEAR.value * turn if np.isfinite(turn) else True
-        likely = (off > limits.OUTLIER.value * floor) & (np.min(steps, axis=0) < 0.25 * off) & possible
-        chosen = np.flatnonzero(likely)
-        chosen = chosen[off[chosen] > limits.OUTLIER.value * around.varies(begin[chosen] - 2, end[chosen] + 1)]
+        rest = np.min(np.abs([after - before - (size + 1) * slope for slope in (last, first, 0.0)]), axis=0)
+        chosen = np.flatnonzero((off > limits.OUTLIER.value * floor) & (rest < 0.25 * off))
+        varies = np.maximum(around.varies(begin[chosen] - 2, end[chosen] + 1), floor)
+        step = x[begin[chosen]] - before[chosen]
+        turned = np.zeros(len(chosen), dtype=np.bool_)
+        for period in periods:
+            turned |= np.abs(np.abs(step) - period) <= limits.OUTLIER.value * varies
+        chosen = chosen[(off[chosen] > limits.OUTLIER.value * varies) & ~turned]
         for k in chosen:
             bad[begin[k] : end[k]] = True
         if len(chosen):
@@ -91,39 +95,42 @@ def steps_off(x: Floats, intervals: Floats, floor: float) -> Floats:
     mean = 0.5 * (np.median(sides[: len(slope)], axis=1) + np.median(sides[4:], axis=1))
     off = intervals * (slope - mean)
     likely = np.flatnonzero(np.abs(off) > limits.OUTLIER.value * max(floor, resolution(x)))
-    varies = _Around(x).varies(likely - 1, likely + 2)
+    varies = _Around(x, limits.OUTLIER_WINDOW.value, 1).varies(likely - 1, likely + 2)
     sure = likely[np.abs(off[likely]) > limits.OUTLIER.value * varies]
     out[sure] = off[sure]
     return out
 
 
 class _Around:
-    """How much the second differences of a signal vary around a place."""
+    """How much the second differences of a signal (n,) vary around a place.
 
-    def __init__(self, x: Floats) -> None:
-        window = limits.OUTLIER_WINDOW.value
-        second = np.abs(np.diff(x, 2))
-        self._second = np.concatenate([[0.0], second, [0.0]])  # at the sample in the middle
-        self._padded = np.pad(self._second, window, mode="reflect")
+    window, nearest: numbers of them on each side whose medians it is at least.
+    """
+
+    def __init__(self, x: Floats, window: int, nearest: int) -> None:
+        self._window, self._nearest, self._n = window, nearest, len(x)
+        second = np.concatenate([[0.0], np.abs(np.diff(x, 2)), [0.0]])  # at the sample in the middle
+        self._padded = np.pad(second, window, mode="symmetric")
 
     def varies(self, last: Places, first: Places) -> Floats:
-        """The median of a window before and of one behind a place, whichever is larger, and at least the values next to
-        it. last, first: (m,) positions of the samples whose second difference does not contain the place."""
-        window = limits.OUTLIER_WINDOW.value
-        last, first = np.maximum(last, 0), np.minimum(first, len(self._second) - 1)
-        views = sliding_window_view(self._padded, window)
-        before = np.median(views[last + 1], axis=1)  # the window ends with `last`
-        behind = np.median(views[first + window], axis=1)
-        adjacent = np.maximum(self._second[last], self._second[first])
-        out: Floats = np.maximum.reduce([before, behind, adjacent])
+        """The median of a window before and of one behind a place, whichever is larger, and at least that next to it.
+        last, first: (m,) positions of the samples whose second difference does not contain the place."""
+        window = self._window
+        last, first = np.maximum(last, 0), np.minimum(first, self._n - 1)
+        out = np.zeros(len(last))
+        for size in (window, self._nearest):
+            views = sliding_window_view(self._padded, size)
+            out = np.maximum(out, np.median(views[last + window + 1 - size], axis=1))  # ends with `last`
+            out = np.maximum(out, np.median(views[first + window], axis=1))
         return out
 
 
 def two_courses(x: Floats, floor: float) -> Places:
-    """Positions of the rarer course, if a signal (n,) changes back and forth between two courses; empty otherwise.
+    """Positions of one course, if a signal (n,) changes back and forth between two; empty otherwise.
 
     Each sample belongs to the course whose latest value is nearer. Two courses are many times as short together as the
-    line through all samples. floor: as in `outliers`.
+    line through all samples. The one that is returned has mostly one value, or is the rarer one. floor: as in
+    `outliers`.
     """
     steps = np.abs(np.diff(x))
     total = float(steps.sum())
@@ -137,10 +144,18 @@ def two_courses(x: Floats, floor: float) -> Places:
         length += abs(value - ends[which])
         ends[which] = value
         second[k] = which
-    changes = int(np.count_nonzero(np.diff(second)))
-    rarer = np.flatnonzero(second if second.sum() < 0.5 * len(x) else ~second)
-    apart = np.median(steps[np.flatnonzero(np.diff(second))]) if changes else 0.0
-    many = changes > limits.SECOND_SOURCE.value * len(x) and len(rarer) > limits.SECOND_SOURCE.value * len(x)
-    if not many or total < limits.OUTLIER.value * length or apart < limits.OUTLIER.value * max(floor, resolution(x)):
+    changes = np.flatnonzero(np.diff(second))
+    share = limits.SECOND_SOURCE.value * len(x)
+    often = len(changes) > share and share < second.sum() < len(x) - share
+    least = limits.OUTLIER.value * max(floor, length / len(x))
+    if not often or total < limits.OUTLIER.value * length or np.median(steps[changes]) < least:
         return np.zeros(0, dtype=np.int64)
-    return rarer
+    courses = np.flatnonzero(second), np.flatnonzero(~second)
+    return min(courses, key=lambda one: (code_of(x[one]) is None, len(one)))
+
+
+def code_of(values: Floats) -> float | None:
+    """The value that most of these have, if they are several."""
+    sent, times = np.unique(values, return_counts=True)
+    often = len(values) and times.max() >= max(_SAME, _MOST * len(values))
+    return float(sent[np.argmax(times)]) if often else None

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from zygos import limits
 from zygos.arm import Arm, Encoder
 from zygos.cutoff import periods
 from zygos.errors import ZygosError
@@ -48,8 +49,8 @@ _FEWEST = 6
 """Fewest samples in an average."""
 _PIECES = 40
 """Least length of a recording, in lengths of a gap, from which it is known whether the gap can be bridged."""
-_BRIDGED_SHARE, _BRIDGED_Z = 0.98, 4.0
-"""Share of the values in a gap that may differ by so many standard deviations of their noise at the most."""
+_BRIDGED_Z = 2.0
+"""Root mean square of what values in a gap may err, in standard deviations of their noise: noise alone reaches 1.5."""
 _ON_GRID = 1e-3
 """Share of the usual interval by which a sample may miss an instant of the grid of which it is the value."""
 _CHUNK = 20_000
@@ -468,33 +469,37 @@ def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Interpolatio
 def bridged(track: Track, at: Floats, arm: Arm, mapping: Map) -> Track:
     """The track with the longest gap over which its values at the instants (m,) are as good as the others.
 
-    As long a piece is left out elsewhere, everywhere in turn: nearly all values in it must remain within what their
-    noise allows. So the motion decides, by all frequencies that it has.
+    As long a piece is left out elsewhere, everywhere in turn, and the values in it must remain within what their noise
+    allows, those of a torque within a tenth of its variation. So the motion decides, by all frequencies that it has.
     """
-    lengths = np.unique(np.ceil(track.gaps_s / track.interval_s - 1e-6)).astype(int)
+    lengths = np.unique(np.ceil(track.gaps_s / track.interval_s - 0.25)).astype(int)
     lengths = lengths[lengths * _PIECES <= len(track.t)]
     if not len(lengths):
         return track
     change = grid_noise(track, at, arm, mapping)
-    sigma = math.hypot(change.kept * declared_sigma(arm, track.channel), change.added)
-    if track.channel.field == "tau" and decimated(track, arm.period_s):  # of which no noise is declared
-        sigma = max(sigma, change.kept * math.sqrt(sum(interpolation_variance(track, "linear", 0.0))))
+    allowed = _BRIDGED_Z * math.hypot(change.kept * declared_sigma(arm, track.channel), change.added)
+    if track.channel.field == "tau":  # whose noise is seldom known
+        allowed = max(allowed, limits.TORQUE_NOISE.value * float(np.std(track.x)))
     for length in lengths:
         longer = replace(track, bridge_s=(length + 0.5) * track.interval_s)
         errors = np.concatenate([_bridging_errors(longer, at, arm, mapping, length, shift) for shift in range(4)])
-        if len(errors) == 0 or np.mean(errors > _BRIDGED_Z * sigma) > 1.0 - _BRIDGED_SHARE:
+        if len(errors) == 0 or math.sqrt(float(np.mean(errors**2))) > allowed:
             break
         track = longer
     return track
 
 
 def _bridging_errors(track: Track, at: Floats, arm: Arm, mapping: Map, length: int, shift: int) -> Floats:
-    """(k,) by how much values inside of gaps change that are made in every fourth stretch of as many intervals;
-    infinite where they become unknown."""
+    """(k,) by how much values inside of gaps change that are made in every fourth stretch of as many intervals, but for
+    those near a hole; infinite where they become unknown."""
     index = (np.arange(len(track.t)) - shift * length) % (4 * length)
-    thinned = replace(track, t=track.t[(index == 0) | (index >= length)], x=track.x[(index == 0) | (index >= length)])
+    kept = (index == 0) | (index >= length)
+    thinned = replace(track, t=track.t[kept], x=track.x[kept])
     before = np.searchsorted(track.t, at, side="right") - 1
-    inside = at[(index[before] < length) & (before < len(track.t) - 1)]
+    begin, end = thinned.t[:-1][thinned.holes], thinned.t[1:][thinned.holes]
+    reach = _REACH * arm.period_s
+    near = np.searchsorted(begin, at + reach) > np.searchsorted(end, at - reach, side="right")
+    inside = at[(index[before] < length) & (before < len(track.t) - 1) & ~near]
     whole = resampled(track, inside, arm, mapping)
     errors = np.abs(resampled(thinned, inside, arm, mapping) - whole)[np.isfinite(whole)]
     return np.where(np.isfinite(errors), errors, np.inf)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from zygos import limits
 from zygos.errors import ZygosError
 from zygos.files.output import counted
-from zygos.runs.outliers import outliers, steps_off, two_courses
+from zygos.runs.outliers import code_of, outliers, steps_off, two_courses
 from zygos.telemetry.map import Channel, Map, Recording, SourceSamples
 
 Floats = NDArray[np.float64]
@@ -24,8 +24,6 @@ Places = NDArray[np.int64]
 
 _GAP = 2.5
 """Usual intervals above which a step is that of a gap, whose motion is not small."""
-_SAME = 3
-"""Samples of one value from which a value is that of a second source."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,6 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
     for channels in _messages(mapping):
         keys = {c.source: _keys(recording.sources[c.source]) for c in channels}
         gone = np.unique(np.concatenate([keys[source][off[source]] for source in keys]))
-        gone = _of_second_source(recording, keys, gone)
         for source, key in keys.items():
             kept = ~np.isin(key, gone)
             left_out[source] = int((~kept).sum())
@@ -70,6 +67,7 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
         samples = out[channel.source]
         signal = _Signal(channel, samples, times[channel.source], sigma[channel.source])
         values, turns[channel.source] = signal.unwrapped()
+        warnings += signal.warnings
         out[channel.source] = replace(samples, value=values)
     return Mended(replace(recording, sources=out), turns, left_out, tuple(warnings))
 
@@ -86,23 +84,6 @@ def _messages(mapping: Map) -> Iterator[list[Channel]]:
 def _keys(samples: SourceSamples) -> Floats:
     """(n,) what the samples of one message or row have in common: its stamp, or its number."""
     return np.where(np.isfinite(samples.stamp), samples.stamp, samples.group)
-
-
-def _of_second_source(recording: Recording, keys: dict[str, Floats], gone: Floats) -> Floats:
-    """The keys of messages that are left out, and those of other messages with the same values: a second source that
-    always sends the same is not seen while the arm is there."""
-    if len(gone) < _SAME:
-        return gone
-    alike: Floats | None = None
-    for source, key in keys.items():
-        values = recording.sources[source].value
-        sent = np.unique(values[np.isin(key, gone)])
-        if len(sent) != 1:
-            return gone
-        same = key[values == sent[0]]
-        alike = same if alike is None else np.intersect1d(alike, same)
-    assert alike is not None
-    return np.union1d(gone, alike) if len(alike) <= 2 * len(gone) else gone
 
 
 class _Signal:
@@ -133,48 +114,55 @@ class _Signal:
         if channel.quantity == "angle":
             if self.modulo is not None:
                 x = _unwrap(x, self.modulo, np.ones(max(len(x) - 1, 0)))
-            found = outliers(x, self.floor, channel.turn)
-            found = np.union1d(found, self._ends(np.delete(x, found)))
+            found = outliers(x, self.floor, self._periods())
+            found = np.union1d(found, self._ends(x, np.delete(np.arange(len(x)), found)))
         else:
             found = _far(x, outliers(x, self.floor))
+        if len(found) <= limits.SECOND_SOURCE.value * len(x):
+            second = two_courses(x, self.floor)
+            sent = code_of(x[second]) is not None and code_of(np.delete(x, second)) is None
+            found = second if len(second) and (sent or channel.quantity == "angle") else found
+            often = _most_frequent(x)
+            if len(second) and 2 * len(often) > len(second):  # both courses have it where they cross
+                found = often
+        code = code_of(self.x[valid[found]])
+        if code is not None:
+            found = np.union1d(found, _short(self.x[valid] == code))  # also where the arm has this value
         found = valid[found]
-        self._judge(found, x)
+        self._judge(found, code)
         return self.finite[np.union1d(np.flatnonzero(none), found)]
 
-    def _ends(self, x: Floats) -> Places:
-        """Positions of the first or last two samples, if the others are somewhere else."""
-        n = len(x)
+    def _ends(self, x: Floats, kept: Places) -> Places:
+        """The first or the last of the kept samples, if the others are somewhere else."""
+        n, size = len(kept), limits.OUTLIER_BURST.value
+        x = x[kept]
         at = np.flatnonzero(steps_off(x, np.ones(max(n - 1, 0)), self.floor))
         at = at[~self._turns(np.diff(x)[at])]
+        begin, end = at[at < size], at[at >= n - 1 - size]
         return np.concatenate(
-            [*[np.arange(k + 1) for k in at if k < 2], *[np.arange(k + 1, n) for k in at if k >= n - 3], []]
-        ).astype(np.int64)
+            [kept[: begin.max() + 1] if len(begin) else kept[:0], kept[end.min() + 1 :] if len(end) else kept[:0]]
+        )
 
-    def _judge(self, found: Places, x: Floats) -> None:
-        """Name what lies off, and refuse it where it is much."""
-        channel, many = self.channel, len(found) > limits.SECOND_SOURCE.value * len(self.x)
-        if channel.quantity == "angle" and not many:
-            second = two_courses(x, self.floor)
-            if len(second):
-                found, many = second, True
+    def _judge(self, found: Places, code: float | None) -> None:
+        """Name what lies off, and refuse it where it is much. code: the value of nearly all of it, if it is one."""
         if not len(found):
             return
-        values, times = np.unique(self.x[found], return_counts=True)
-        usual = float(values[np.argmax(times)])
-        same = len(found) >= _SAME and times.max() >= 0.8 * len(found)
+        channel = self.channel
         said = (
             f"{channel.source}: {counted(len(found), 'sample')} of {len(self.x):,} far from what the neighbours say, "
-            f"first {self._at(found[0])} ({self.x[found[0]]:.6g}{f'; {times.max():,} are {usual:.6g}' if same else ''})"
+            f"first {self._at(found[0])} ({self.x[found[0]]:.6g})"
         )
-        if not many:
-            what = "a second source, or a code for no value, sends this value; " if same else ""
-            rest = "row" if channel.place is None and not channel.in_message else "message"
-            self.warnings.append(f"{said}; {what}left out, with the rest of the {rest}")
+        constant = "" if code is None else f", most are {code:.6g}, as a second source or a code for no value sends it"
+        if len(found) <= limits.SECOND_SOURCE.value * len(self.x):
+            rest = "message" if channel.place or channel.in_message else "row"
+            self.warnings.append(f"{said}{constant}; left out, with the rest of the {rest}")
             return
-        remedy = "stop one of them and record again"
-        if same:
-            remedy += f", or write missing = {usual:.10g} there if one of them always sends this value"
-        raise ZygosError(f"{channel.where}: {said}, as if two sources sent it; remedy: {remedy}")
+        remedy = (
+            "stop one of them and record again"
+            if code is None
+            else f"write missing = {code:.10g} there, or record again"
+        )
+        raise ZygosError(f"{channel.where}: {said}{constant or ', as if two sources sent them'}; remedy: {remedy}")
 
     def unwrapped(self) -> tuple[Floats, int]:
         """(n,) the values without starting again, and how often they did.
@@ -213,25 +201,29 @@ class _Signal:
 
     def _check_jumps(self, x: Floats, jumps: Floats) -> None:
         """Refuse steps of an angle that no motion explains: those of an angle that starts again, and those of more than
-        a turn at once that are far above all others."""
+        a turn at once that are far above all others. Smaller ones are named."""
         fast = np.percentile(np.abs(np.diff(x)) / self.intervals, 90)
-        large = (np.abs(jumps) > self.channel.turn) & (np.abs(jumps) > limits.OUTLIER.value * fast)
-        at = np.flatnonzero(self._turns(jumps) | large)
+        near = self._turns(jumps)
+        far = (np.abs(jumps) > limits.OUTLIER.value * fast) & (jumps != 0.0)
+        at = np.flatnonzero(near | far)
         if not len(at):
             return
-        channel = self.channel
-        size = float(np.median(np.abs(jumps[at])))
-        near = [one for one in self._periods() if abs(size - one) <= limits.TURN_NEAR.value * one]
-        period = near[0] if near else size
-        times = int(np.count_nonzero(np.abs(np.abs(np.diff(x)) - period) <= limits.TURN_NEAR.value * period))
-        stated = f", and modulo = {channel.modulo * channel.scale:.10g} does not explain it" if channel.modulo else ""
-        k = int(at[0])
-        raise ZygosError(
-            f"{channel.where}: {channel.source} jumps by about {period * channel.scale:.6g} {channel.unit} in "
-            f"{counted(max(times, 1), 'place')}, first {self._at(k + 1)} ({x[k]:.6g}, then {x[k + 1]:.6g}), which no "
-            f"motion does{stated}; remedy: write modulo = {period * channel.scale:.12g} there if the angle starts "
-            "again after that, else cut the recording before it"
+        channel, k = self.channel, int(at[0])
+        size = float(np.median(np.abs(jumps[near] if near.any() else jumps[at])))
+        said = (
+            f"{channel.source} jumps in {counted(len(at), 'place')}, first {self._at(k + 1)} ({x[k]:.6g}, then "
+            f"{x[k + 1]:.6g}), which no motion does"
         )
+        if not near.any() and np.all(np.abs(jumps[at]) < channel.turn):
+            self.warnings.append(f"{said}: check whether the angle was set anew there, or stood still before")
+            return
+        alike = np.all(np.abs(np.abs(jumps[at]) - size) < limits.TURN_NEAR.value * size)
+        remedy = "cut the recording there"
+        if near.any() or alike:
+            period = next((one for one in self._periods() if abs(size - one) <= limits.TURN_NEAR.value * one), size)
+            remedy = f"write modulo = {period * channel.scale:.12g} there if the angle starts again, else {remedy}"
+        stated = f" and modulo = {channel.modulo * channel.scale:.10g} does not explain" if channel.modulo else ""
+        raise ZygosError(f"{channel.where}: {said}{stated}; remedy: {remedy}")
 
     def _check_turns(self, turned: Floats, modulo: float) -> None:
         """Refuse turns that cannot be counted, because the angle moves too far between two samples."""
@@ -276,5 +268,20 @@ def _far(x: Floats, found: Places) -> Places:
     others = np.delete(x, found)
     low, high = float(others.min()), float(others.max())
     outside = (x[found] < low - (high - low)) | (x[found] > high + (high - low))
-    _, which, times = np.unique(x[found], return_inverse=True, return_counts=True)
-    return found[outside | (times[which] >= max(_SAME, 0.8 * len(found)))]
+    out: Places = found[outside | (x[found] == code_of(x[found]))]
+    return out
+
+
+def _most_frequent(x: Floats) -> Places:
+    """Positions of the most frequent value, in runs that are no longer than a burst."""
+    sent, times = np.unique(x, return_counts=True)
+    return _short(x == sent[np.argmax(times)]) if len(x) else np.zeros(0, dtype=np.int64)
+
+
+def _short(same: NDArray[np.bool_]) -> Places:
+    """Positions in runs of equal values (n,) that are no longer than a burst."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+    runs = [
+        np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= limits.OUTLIER_BURST.value
+    ]
+    return np.concatenate(runs) if runs else np.zeros(0, dtype=np.int64)
