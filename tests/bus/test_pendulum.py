@@ -85,6 +85,7 @@ def test_each_recording_becomes_a_run(name: str, tmp_path: Path) -> None:
     content = json.loads((tmp_path / "c.json").read_text())
     assert content["breaks"] == 0
     assert ["its cut-off of 5 Hz takes more" in line for line in content["warnings"]] == [True]
+    assert {(row["left_out"], row["turns"], row["holes"]) for row in content["signals"]} == {(0, 0, 0)}
     arm = load_arm(tmp_path / "arm.toml")
     assert arm.smoother.cutoff_hz == 5.0
     assert arm.torque_averaged  # from 500 Hz to 100 Hz

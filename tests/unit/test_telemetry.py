@@ -24,18 +24,23 @@ from zygos.runs.tables import read_cycles, write_cycles
 from zygos.simulation.scenario import Scenario, load_scenario
 from zygos.telemetry.convert import cycles_of
 from zygos.telemetry.grid import (
+    Noise,
     Track,
+    bridged,
+    grid_noise,
     held_mean,
+    instants,
     interpolate,
     interpolation_variance,
     needed_rate,
     regrid,
+    resampled,
     synchronous,
     tracks,
     tracks_of,
     unwrap,
 )
-from zygos.telemetry.map import Channel, Map, load_map, read_table
+from zygos.telemetry.map import Channel, Clock, Map, load_map, read_table
 
 Floats = NDArray[np.float64]
 JOINT = """
@@ -412,6 +417,68 @@ def test_nothing_is_interpolated_over_a_hole(arm: Arm, tmp_path: Path) -> None:
     # the torque at 149 is held into the hole; one sample that is missing at 300 is no hole
     assert sorted(set(range(399)) - set(got.sync.tolist())) == [150, 151, 152]
     assert got.sync[np.flatnonzero(got.flags)].tolist() == [153]
+
+
+@pytest.mark.parametrize(("missing", "bridged_gaps"), [(2, 85), (60, 0)])
+def test_a_gap_is_bridged_if_the_motion_allows_it(arm: Arm, missing: int, bridged_gaps: int) -> None:
+    """Samples of 2 ms on a grid of 10 ms: gaps of 6 ms cost nothing, and their values are as good as the others; the
+    motion of 1.3 Hz does not allow 122 ms."""
+    fine = replace(arm, period_s=0.01)
+    t = 0.002 * np.arange(30_000)
+    x = angle(t) + 3e-4 * np.random.default_rng(0).standard_normal(len(t))
+    gaps = np.random.default_rng(1).choice(np.arange(100, 29_800, 100), 85, replace=False)
+    kept = np.delete(np.arange(len(t)), (gaps[:, None] + np.arange(missing)).ravel())
+    chosen = Map(Clock("receive", interpolation="cubic"), (CHANNEL,))
+    at = 0.02 + 0.01 * np.arange(5990)
+    track = Track(CHANNEL, t[kept], x[kept])
+    whole = bridged(track, at, fine, chosen)
+    assert np.count_nonzero(whole.gaps_s <= whole.bridge_s) == bridged_gaps
+    assert int(whole.holes.sum()) == 85 - bridged_gaps
+    error = resampled(whole, at, fine, chosen) - angle(at)
+    assert np.mean(np.isfinite(error)) == 1.0 if bridged_gaps else np.mean(np.isfinite(error)) < 0.9
+    assert np.nanmax(np.abs(error)) < 6.0 * 3e-4
+
+
+def test_samples_on_the_grid_are_taken_as_they_are(arm: Arm, tmp_path: Path) -> None:
+    """Bit for bit, whatever they are, and nothing is added to their noise."""
+    for law in ("applied_from_sync", "applied_previous_cycle", "sampled"):
+        other, sent = replace(arm, torque_law=law), some_cycles(200)
+        write_columns(tmp_path / "x.npz", row(sent) | {"t": 17.0 + 0.05 * np.arange(200)})
+        chosen = mapping(tmp_path, other)
+        found = tracks(read_table(tmp_path / "x.npz", chosen), chosen)
+        got = regrid(found, other, chosen)
+        late = law == "applied_previous_cycle"  # its first torque is that of the cycle before
+        for name in ("q", "theta", "omega"):
+            assert np.array_equal(getattr(got, name), getattr(sent, name)[late:][: len(got)]), name
+        assert np.array_equal(got.tau, sent.tau[: len(got)])
+        at = instants(found, other, chosen)
+        assert [grid_noise(track, at, other, chosen) for track in found] == [Noise()] * 9
+
+
+def test_a_signal_beside_the_grid_costs_by_its_distance() -> None:
+    """0.5 ms of 50 ms: what the interpolation adds is the error that it makes there."""
+    t = 0.05 * np.arange(1200)
+    track, at = Track(CHANNEL, t, angle(t)), 0.0505 + 0.05 * np.arange(1190)
+    stated = math.sqrt(sum(interpolation_variance(track, "linear", 0.0, at)))
+    error = float(np.sqrt(np.mean((interpolate(track, at, "linear") - angle(at)) ** 2)))
+    assert 0.7 < error / stated < 1.1
+    assert stated < 0.05 * math.sqrt(sum(interpolation_variance(track, "linear", 0.0)))
+
+
+def test_a_delay_is_taken_off_the_stamps(arm: Arm, tmp_path: Path) -> None:
+    """One signal is measured 20 ms before its stamp, another one 10 ms after."""
+    late = ('"t1", unit = "Nm"', '"t1", unit = "Nm", delay_s = 0.02')
+    early = ('"m2", unit = "rad"', '"m2", unit = "rad", delay_s = -0.01')
+    text = (GRID + JOINTS + GYRO).replace(*late).replace(*early)
+    write_columns(tmp_path / "x.npz", row(some_cycles(200)))
+    chosen = mapping(tmp_path, arm, text)
+    begins = {track.channel.label: track.t[0] for track in tracks(read_table(tmp_path / "x.npz", chosen), chosen)}
+    assert begins["shoulder.torque"] == pytest.approx(-0.02)
+    assert begins["elbow.motor"] == pytest.approx(0.01)
+    assert begins["elbow.torque"] == 0.0
+    counted_map = text.replace(GRID, SYNC)
+    with pytest.raises(ZygosError, match=r'torque.delay_s: with source = "sync" .* remedy: write in \[time\] source'):
+        mapping(tmp_path, arm, counted_map)
 
 
 def test_holes_of_one_signal_only(arm: Arm) -> None:

@@ -240,7 +240,7 @@ def rows(reads: Iterable[Read]) -> dict[str, list[Row]]:
         lengths = {kind for kind in kinds if kind.startswith("array of") and kind.endswith("numbers")}
         if len(lengths) > 1 or "array of 1 numbers" in lengths:  # its length depends on the arm
             kinds = _once("array of numbers" if kind in lengths else kind for kind in kinds)
-        in_unit = key in ("value", "sigma", "offset", "modulo") and (where, "unit") in keys
+        in_unit = (where, "unit") in keys and key in ("value", "sigma", "offset", "modulo") and where != "time"
         row = Row(
             key,
             " or ".join(kinds),

@@ -51,8 +51,8 @@ _ANGLE_MAX, _TORQUE_MAX, _RATE_MAX = 16 * math.pi, (2**23 - 1) * TORQUE_STEP, 4.
 """Largest angle, torque and rate that the CAN frames can carry, SI units (docs/wire.md)."""
 
 
-_PEAK = 20.0
-"""Ratio to its surroundings, or to noise, from which power in a spectrum is that of a vibration or of motion."""
+_PEAK, _MOTION = 100.0, 20.0
+"""Ratio to the median from which power in a spectrum is that of a vibration, and to noise from which it is motion."""
 SPARSE = 10.0
 """Periods of the arm between two samples from which a warning is given."""
 UNLIKE = 5.0
@@ -165,7 +165,7 @@ def motion_hz(cycles: Cycles, arm: Arm) -> float | None:
         for angle, encoder in zip(readings[piece].T, encoders, strict=True):
             power = np.abs(np.fft.rfft(np.diff(angle) * window)) ** 2
             white = 2.0 * encoder.sigma_rad**2 * np.sum(window**2) * (1.0 - np.cos(2.0 * np.pi * hz * arm.period_s))
-            total = np.cumsum(np.where(power > _PEAK * white, power, 0.0))
+            total = np.cumsum(np.where(power > _MOTION * white, power, 0.0))
             if total[-1] > 0.0:
                 found = max(found, float(hz[np.searchsorted(total, 0.99 * total[-1])]))
     return found or None

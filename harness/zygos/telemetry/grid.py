@@ -569,13 +569,15 @@ def interpolation_variance(
 
 
 def _between(track: Track, at: Floats, kind: InterpolationMethod) -> float:
-    """Mean square of the interpolation's error at instants (m,), in units of that halfway between two samples."""
+    """Mean square of the interpolation's error at instants (m,), in units of that halfway between two samples. That of
+    a held value grows with the time to the nearest stamp, as far as the stamps tell it."""
     _, on = _on_grid(track, at)
-    if kind == "hold":
-        return 0.0 if on.all() else 1.0
     after = np.clip(np.searchsorted(track.t, at), 1, len(track.t) - 1)
     share = np.clip((at - track.t[after - 1]) / (track.t[after] - track.t[after - 1]), 0.0, 1.0)
-    return float(np.mean(np.where(on, 0.0, 4.0 * share * (1.0 - share)) ** 2))
+    error = 4.0 * share * (1.0 - share)
+    if kind == "hold":
+        error = np.minimum(2.0 * np.minimum(share, 1.0 - share) + 2.0 * track.stamp_sigma_s / track.interval_s, 1.0)
+    return float(np.mean(np.where(on, 0.0, error) ** 2))
 
 
 def _left_out(track: Track, kind: InterpolationMethod, step: int) -> float:

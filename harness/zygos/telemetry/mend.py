@@ -7,7 +7,6 @@ neither explains is refused, because it would be averaged with the others. docs/
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,46 +38,52 @@ class Mended:
 
 
 def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: dict[str, float]) -> Mended:
-    """Unwrap angles, and leave out samples that lie off, with the rest of their message or row.
+    """Unwrap angles, and leave out samples that lie off or mean no value, with the rest of their message or row: first
+    those of angles, whose course is the surest.
 
     times: by source, when its samples were taken, s. sigma: by source, the declared standard deviation, SI units.
     Errors: ZygosError for steps of an angle that no motion and no modulo explain, for turns that cannot be counted, and
     where so many samples lie off that two sources seem to send them.
     """
-    off: dict[str, Places] = {}
+    out, times = dict(recording.sources), dict(times)
     warnings: list[str] = []
+
+    def signal_of(channel: Channel) -> _Signal:
+        return _Signal(channel, out[channel.source], times[channel.source], sigma[channel.source])
+
+    def leave_out(channel: Channel, places: Places) -> None:
+        """Leave out samples of a channel with the rest of their message or row."""
+        if len(places):
+            gone = _keys(out[channel.source])[places]
+            for other in mapping.channels:
+                if _message(other) == _message(channel):
+                    samples = out[other.source]
+                    kept = ~np.isin(_keys(samples), gone)
+                    values = (samples.value[kept], samples.group[kept], samples.stamp[kept])
+                    out[other.source] = SourceSamples(*values, samples.width)
+                    times[other.source] = times[other.source][kept]
+
     for channel in mapping.channels:
-        signal = _Signal(channel, recording.sources[channel.source], times[channel.source], sigma[channel.source])
-        off[channel.source] = signal.off()
+        leave_out(channel, signal_of(channel).missing())
+    for channel in sorted(mapping.channels, key=lambda channel: channel.quantity != "angle"):
+        signal = signal_of(channel)
+        leave_out(channel, signal.off())
         warnings += signal.warnings
-    out = dict(recording.sources)
-    left_out: dict[str, int] = {}
-    for channels in _messages(mapping):
-        keys = {c.source: _keys(recording.sources[c.source]) for c in channels}
-        gone = np.unique(np.concatenate([keys[source][off[source]] for source in keys]))
-        for source, key in keys.items():
-            kept = ~np.isin(key, gone)
-            left_out[source] = int((~kept).sum())
-            one = out[source]
-            out[source] = replace(one, value=one.value[kept], group=one.group[kept], stamp=one.stamp[kept])
-            times = times | {source: times[source][kept]}
+    left_out = {source: len(samples.value) - len(out[source].value) for source, samples in recording.sources.items()}
     turns: dict[str, int] = {}
     for channel in mapping.channels:
-        samples = out[channel.source]
-        signal = _Signal(channel, samples, times[channel.source], sigma[channel.source])
+        signal = signal_of(channel)
         values, turns[channel.source] = signal.unwrapped()
         warnings += signal.warnings
-        out[channel.source] = replace(samples, value=values)
+        out[channel.source] = replace(out[channel.source], value=values)
     return Mended(replace(recording, sources=out), turns, left_out, tuple(warnings))
 
 
-def _messages(mapping: Map) -> Iterator[list[Channel]]:
-    """The channels of each message, topic or table."""
-    by: dict[str, list[Channel]] = {}
-    for channel in mapping.channels:
-        name = channel.place.topic if channel.place else channel.source.partition(".")[0] if channel.in_message else ""
-        by.setdefault(name, []).append(channel)
-    yield from by.values()
+def _message(channel: Channel) -> str:
+    """Message or topic of a channel; empty for a table, whose rows have all channels."""
+    if channel.place:
+        return channel.place.topic
+    return channel.source.partition(".")[0] if channel.in_message else ""
 
 
 def _keys(samples: SourceSamples) -> Floats:
@@ -103,15 +108,16 @@ class _Signal:
         self.floor = sigma / abs(channel.gain)
         self.modulo = (channel.modulo or samples.width) if channel.quantity == "angle" else None
 
+    def missing(self) -> Places:
+        """Positions of the samples that mean no value."""
+        if self.channel.missing is None:
+            return np.zeros(0, dtype=np.int64)
+        return self.finite[np.isclose(self.x, self.channel.missing, rtol=1e-9, atol=0.0)]
+
     def off(self) -> Places:
-        """Positions of the samples that lie off, or that mean no value. Errors: ZygosError where these are many."""
-        channel = self.channel
-        none = np.zeros(len(self.x), dtype=np.bool_)
-        if channel.missing is not None:
-            none = np.isclose(self.x, channel.missing, rtol=1e-9, atol=0.0)
-        valid = np.flatnonzero(~none)
-        x = self.x[valid]
-        if channel.quantity == "angle":
+        """Positions of the samples that lie off. Errors: ZygosError where these are many."""
+        x = self.x
+        if self.channel.quantity == "angle":
             if self.modulo is not None:
                 x = _unwrap(x, self.modulo, np.ones(max(len(x) - 1, 0)))
             found = outliers(x, self.floor, self._periods())
@@ -121,16 +127,15 @@ class _Signal:
         if len(found) <= limits.SECOND_SOURCE.value * len(x):
             second = two_courses(x, self.floor)
             sent = code_of(x[second]) is not None and code_of(np.delete(x, second)) is None
-            found = second if len(second) and (sent or channel.quantity == "angle") else found
+            found = second if len(second) and (sent or self.channel.quantity == "angle") else found
             often = _most_frequent(x)
             if len(second) and 2 * len(often) > len(second):  # both courses have it where they cross
                 found = often
-        code = code_of(self.x[valid[found]])
+        code = code_of(self.x[found])
         if code is not None:
-            found = np.union1d(found, _short(self.x[valid] == code))  # also where the arm has this value
-        found = valid[found]
+            found = np.union1d(found, _short(self.x == code))  # also where the arm has this value
         self._judge(found, code)
-        return self.finite[np.union1d(np.flatnonzero(none), found)]
+        return self.finite[found]
 
     def _ends(self, x: Floats, kept: Places) -> Places:
         """The first or the last of the kept samples, if the others are somewhere else."""
