@@ -96,6 +96,8 @@ class Balance:
         self.few = False
         """Whether the reason is that there are too few instants."""
         self.residual_j = self.residual(arm, self.cycles)
+        self.noisy = self._reason == REASONS[lib.ZYGOS_REASON_NOISE]
+        """Whether sensor noise is as large as the motion, so that no shift in time can be told from another."""
 
     def residual(self, arm: Arm, cycles: Cycles) -> float:
         """rms residual, J; infinite if there is no estimate."""
@@ -110,7 +112,7 @@ class Balance:
         flight = Flight(arm, self.friction)
         flight.cycles(cycles)
         estimate = flight.estimate()
-        residual = float(estimate.residual)
+        residual, self._reason = float(estimate.residual), estimate.reason
         if math.isfinite(residual) and residual > 0.0:
             return residual, math.sqrt(flight.unexplained(estimate))
         self.few = estimate.reason == REASONS[1]

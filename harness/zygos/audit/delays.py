@@ -114,7 +114,7 @@ def find_delay(group: Group, residual: Residual, now: float) -> Delay | None:
         return None
     left, centre = min((square(best), best), (square(best + first), best + first))
     ratio = now / math.sqrt(left) if left > 0.0 else math.inf
-    if ratio < limits.SURE_LAW.value or abs(centre) < limits.SKEW.value:
+    if ratio < limits.AUDIT_SURE.value or abs(centre) < limits.SKEW.value:
         return None
     for _ in range(_ROUNDS):
         further = step(centre)

@@ -70,7 +70,7 @@ def no_balance(case: Case, why: str) -> None:
     if open_ones:
         case.notes.append(f"{' and '.join(open_ones)}: not decided, because {why}")
     else:
-        case.remarks.append(f"there is no balance of the whole arm: {why}")
+        case.remarks.append(f"the energy balance tells nothing: {why}")
     case.open_gyro()
 
 
@@ -193,6 +193,8 @@ def _find_whole(case: Case, fault: WholeFault, evidence: str) -> None:
 def _delays(case: Case, balance: Balance) -> list[Delay]:
     """The delays that the balance shows, that which explains most first."""
     now, found = balance.residual_j, list[Delay | None]()
+    if balance.noisy:
+        return []
     for group in groups(range(case.arm.n), gyro=case.arm.free):
 
         def left(periods: float, block: int | None, group: Group = group) -> float:
