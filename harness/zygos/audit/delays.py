@@ -23,8 +23,8 @@ from zygos.runs.cycles import INVALID, Cycles
 Residual = Callable[[float, int | None], float]
 """What is left of a run whose readings of a group are taken from some periods later, without a block of it; infinite
 where there is no balance."""
-MOST = 50
-"""Largest delay that is searched, in cycles."""
+MOST_S = 0.3
+"""Largest delay that is searched, s; three periods at least."""
 _ROUNDS, _CLOSE = 3, 0.02
 """Number of times that the three shifts are laid about the last result at most, and the step after which they are
 not, in periods."""
@@ -92,7 +92,7 @@ def _vertex(before: float, here: float, after: float) -> float:
     return min(max(0.5 * (before - after) / bend, -1.0), 1.0) if bend > 0.0 and math.isfinite(bend) else math.nan
 
 
-def find_delay(group: Group, residual: Residual, now: float) -> Delay | None:
+def find_delay(group: Group, residual: Residual, now: float, period_s: float) -> Delay | None:
     """The delay of a group; None where less is not clearly left with any. now: what is left as the run is.
 
     First the whole number of cycles that leaves least, then the fraction.
@@ -105,10 +105,12 @@ def find_delay(group: Group, residual: Residual, now: float) -> Delay | None:
     def step(about: float, block: int | None = None, span: float = 1.0) -> float:
         return span * _vertex(*(square(about + by * span, block) for by in (-1.0, 0.0, 1.0)))
 
-    best = 0.0
+    best, most = 0.0, max(3.0, MOST_S / period_s)
     sense = min((1.0, -1.0), key=square)
-    while abs(best) < MOST and square(best + sense) < square(best):
+    while square(best + sense) < square(best):
         best += sense
+        if abs(best) > most:
+            return None
     first = step(best)
     if not math.isfinite(first):
         return None

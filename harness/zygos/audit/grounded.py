@@ -160,7 +160,7 @@ def _delay(case: Case, law: RigidLaw, kept: Reading, use: list[int], broken: set
             share = law.taking(kept, moved(periods), columns, block).score(kept).share
             return float(np.exp(np.mean(np.log(share[list(columns)]))))
 
-        own = find_delay(group, left, left(0.0, None))
+        own = find_delay(group, left, left(0.0, None), case.arm.period_s)
         if own is not None and _closes(law.taking(kept, moved(own.periods), group.columns, None), kept, use):
             found.append(own)
     return max(found, key=_gain, default=None)

@@ -200,7 +200,7 @@ def _delays(case: Case, balance: Balance) -> list[Delay]:
         def left(periods: float, block: int | None, group: Group = group) -> float:
             return balance.residual(case.arm, without(shifted(balance.cycles, group, periods), block))
 
-        found.append(find_delay(group, left, now))
+        found.append(find_delay(group, left, now, case.arm.period_s))
     return sorted((one for one in found if one is not None), key=lambda one: one.residual)
 
 
