@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 from collections.abc import Callable, Sequence
@@ -40,14 +41,16 @@ from zygos.audit.delays import shifted as taken_later
 from zygos.audit.remedies import Setting
 from zygos.audit.traffic import traffic_of
 from zygos.audit.units import FACTORS
-from zygos.can.run import load_run
+from zygos.can.run import Run, load_run
 from zygos.cli import COMMANDS, load
 from zygos.estimation import remedies as of_estimates
 from zygos.files.tables import write_columns
 from zygos.ground import estimate as of_ground
+from zygos.model.model import load_model
 from zygos.native.flight import encode
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import Trajectory
+from zygos.simulation.scenario import load_scenario
 from zygos.telemetry.map import UNITS
 
 Document = tomlkit.TOMLDocument
@@ -264,19 +267,12 @@ def test_the_period_and_the_nodes_on_the_bus(noisy: Trajectory, arm: Arm, tmp_pa
         for again in (False, True):
             (tmp_path / "told.toml").write_text(tomlkit.dumps(document))
             known = load_arm(tmp_path / "told.toml")
-            trace = frames_of(known, frames)
-            found = audit(known, trace, traffic_of(known, frames))
+            found = audit(known, Run(known, frames).cycles, traffic_of(known, frames))
             if not again:
                 assert remedy in called and begins in " ".join(named(found))
                 wanted = [one for one in settings_of(found) if one.key in ("period_s", "node")]
                 carry_out(wanted, document, tomlkit.document())
         assert found.findings == (), named(found)
-
-
-def frames_of(arm: Arm, frames: Any) -> Cycles:
-    from zygos.can.run import Run  # noqa: PLC0415
-
-    return Run(arm, frames).cycles
 
 
 def test_the_noise_of_a_torque(tmp_path: Path, called: set[str]) -> None:
@@ -290,12 +286,8 @@ def test_the_noise_of_a_torque(tmp_path: Path, called: set[str]) -> None:
     assert checked(tmp_path / "after", document, None, cycles, arm.period_s).ok
 
 
-@pytest.mark.parametrize(("latch_us", "side", "file"), [(20_000, "motor_encoder", "arm")])
-def test_a_latch(latch_us: int, side: str, file: str, arm: Arm, tmp_path: Path, called: set[str]) -> None:
-    from zygos.model.model import load_model  # noqa: PLC0415
-    from zygos.simulation.scenario import load_scenario  # noqa: PLC0415
-
-    true = late(arm, 0, side, latch_us)
+def test_a_latch(arm: Arm, tmp_path: Path, called: set[str]) -> None:
+    true = late(arm, 0, "motor_encoder", 20_000)
     model, scenario = load_model(EXAMPLE / "model.toml"), load_scenario(EXAMPLE / "scenario.toml")
     cycles = over_the_bus(true, trajectory_of(true, model, scenario, seeds=range(1), noise=True).cycles(0))
     document = document_of(tmp_path, arm)
@@ -352,8 +344,6 @@ def test_the_units_are_those_of_the_map() -> None:
 
 def texts_of(module: Any) -> str:
     """What the messages of a module say: its strings, without its docstrings."""
-    import ast  # noqa: PLC0415
-
     tree = ast.parse(inspect.getsource(module))
     docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     return " ".join(

@@ -158,6 +158,32 @@ def test_a_longer_run_is_advised_where_its_length_was_seen_to_help(lever: Arm) -
     assert remedy(few, watch.flight) == "a longer run: 2 instants were accepted, 3 are needed"
 
 
+def test_one_cause_has_one_remedy(lever: Arm) -> None:
+    """Where the bandwidth test refuses instants already, neither a faster motion nor a longer window helps against
+    noise."""
+    found, watch = learned(lever, swung(lever, (3.0, 0.0, 20_000)))
+    quiet = replace(found, reason=REASONS[lib.ZYGOS_REASON_NOISE], accepted=2_379, refused=0)
+    assert remedy(quiet, watch.flight).startswith("a longer window of the smoother")
+    said = remedy(replace(quiet, refused=112), watch.flight)
+    assert said.startswith("a higher SYNC rate") and "larger or faster motion of every joint" not in said
+    for code in (lib.ZYGOS_REASON_NOISE, lib.ZYGOS_REASON_NOT_IDENTIFIABLE, lib.ZYGOS_REASON_TOO_FAST):
+        said = remedy(replace(quiet, reason=REASONS[code], accepted=1_629, refused=860), watch.flight)
+        assert said.endswith("a slower motion: 860 of 2,489 instants failed the bandwidth test")
+
+
+def test_a_longer_window_helps_against_noise(lever: Arm) -> None:
+    """What is proposed is carried out: with 31 points in place of 7, the motion stands out of coarse encoders."""
+    coarse = Encoder(0.016)
+    rough = replace(lever, joints=(replace(lever.joints[0], link_encoder=coarse, motor_encoder=coarse),),
+                    joint_increment_s=0.0)  # fmt: skip
+    run = swung(rough, (3.0, 0.0, 20_000))
+    before, watch = learned(rough, run)
+    assert before.validity == "refused" and before.signal_to_noise < 2.0
+    assert remedy(before, watch.flight).startswith("a longer window of the smoother ([smoother] points")
+    after, _ = learned(replace(rough, smoother=Smoother(31, 4, 15)), run)
+    assert after.validity == "valid" and after.signal_to_noise > 2.0 * before.signal_to_noise
+
+
 # ------------------------------------------------------------------------------------------ no frames at all
 
 

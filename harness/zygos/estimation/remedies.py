@@ -83,7 +83,8 @@ def remedy(result: Estimate, flight: Flight, known: Sequence[Known] = ()) -> str
         return _more(result, flight)
     if result.reason in (NOISE, NOT_IDENTIFIABLE, TOO_FAST) and _refused(result) > MOST_REFUSED:
         return _too_fast(result)
-    if result.reason == NOISE:
+    buried = result.rank == len(result.names) and result.signal_to_noise < MIN_SIGNAL_TO_NOISE
+    if result.reason == NOISE or (result.reason == NOT_IDENTIFIABLE and buried):
         return _noise(result)
     if result.reason == NOT_PHYSICAL:
         return _unphysical(result, flight)
