@@ -467,8 +467,9 @@ SKEW = Limit("skew", 0.1, "1", "convention",
     "Share of the period that a skew exceeds if it is reported.")
 ZERO_Z = Limit("zero z", 6.0, "1", "convention",
     "Standard errors that an offset of an encoder exceeds if it is reported.")
-NOISE_OFF = Limit("noise off", 4.0, "1", "trial",
-    "Noise above that multiple of the declared one is reported; the steps of a held torque cause 1.1 in the trials.")
+NOISE_OFF = Limit("noise off", 2.5, "1", "trial",
+    "Noise above that multiple of the declared one is reported. In the trials a controller moves the base by its own "
+    "noise, which reaches 2.2.")
 AS_NOISY = Limit("as noisy", 0.5, "1", "trial",
     "Share of the declared noise from which readings whose steps are finer than declared need them: `zygos convert` "
     "adds the noise of interpolation to a quantum, and keeps the readings where the samples lie on the grid.")
