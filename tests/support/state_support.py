@@ -137,6 +137,7 @@ def beside_sums(native: Any, rng: np.random.Generator, each: int = 2) -> list[Pl
     member that of some elements, those in use before the others; of a short array an entry."""
     element = re.compile(r"[^\[]*\[\d+\]")
     numbers = [leaf for group in members().values() for leaf in group if leaf.kind == "double"]
+    numbers = [leaf for leaf in numbers if not leaf.path.startswith("joint.")]  # stored twice
     inside = [(leaf, at[0]) for leaf in numbers if (at := element.match(leaf.path))]
     with_sums = {at for leaf, at in inside if leaf.count > 8 * SUMS}
     places = defaultdict(list)
