@@ -80,6 +80,13 @@ def test_what_an_arm_can_do_is_no_outlier(kind: str) -> None:
         assert len(two_courses(x, 0.0)) == 0
 
 
+def test_an_angle_that_flickers_about_the_end_of_its_turn_has_no_outliers() -> None:
+    x = np.mod(0.04 * (np.arange(N) % 100 > 0) - 0.02 + 0.003 * np.random.default_rng(1).standard_normal(N), 360.0)
+    assert np.count_nonzero(x > 359.0) == N // 100
+    assert len(outliers(x, 0.005, [360.0])) == 0
+    assert len(outliers(x, 0.005)) == N // 100 - 1  # all but the first sample, which has no neighbours on both sides
+
+
 def test_a_step_that_stays_is_found_as_a_step() -> None:
     x = noisy(1) + np.where(T >= 4.0, 0.5, 0.0)
     off = steps_off(x, np.ones(N - 1), 1e-4)

@@ -439,6 +439,18 @@ def test_a_gap_is_bridged_if_the_motion_allows_it(arm: Arm, missing: int, bridge
     assert np.nanmax(np.abs(error)) < 6.0 * 3e-4
 
 
+@pytest.mark.parametrize(("missing", "bridged_gaps"), [(2, 20), (12, 0)])
+def test_a_gap_that_interpolation_would_fill_wrongly_is_a_hole(arm: Arm, missing: int, bridged_gaps: int) -> None:
+    """Samples at twice the rate of the grid: 75 ms of the motion are a cubic, 325 ms are not."""
+    t = 0.025 * np.arange(2400)
+    gaps = np.arange(100, 2300, 110)
+    kept = np.delete(np.arange(len(t)), (gaps[:, None] + np.arange(missing)).ravel())
+    chosen = Map(Clock("receive", interpolation="cubic"), (CHANNEL,))
+    track = Track(CHANNEL, t[kept], angle(t[kept]))
+    whole = bridged(track, 0.1 + 0.05 * np.arange(1190), arm, chosen)
+    assert np.count_nonzero(whole.gaps_s <= whole.bridge_s) == bridged_gaps
+
+
 def test_samples_on_the_grid_are_taken_as_they_are(arm: Arm, tmp_path: Path) -> None:
     """Bit for bit, whatever they are, and nothing is added to their noise."""
     for law in ("applied_from_sync", "applied_previous_cycle", "sampled"):
