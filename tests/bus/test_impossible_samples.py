@@ -89,6 +89,10 @@ def test_an_angle_that_wraps_is_named_and_then_unwrapped(
     assert convert(folder, source, CASES / map_name)[0] == 2
     said = capsys.readouterr().err.replace("\n", " ")
     assert first in said
+    if key == "column":  # the row is that of the table, also where its beginning is cut off
+        cut = ("--map", CASES / map_name, "--arm", folder / "jointstate_arm.toml", "-o", tmp_path / "r.npz")
+        assert run("convert", source, *cut, "--from", "0.1") == 2
+        assert "first in row 94 (" in capsys.readouterr().err
     code, report = convert(folder, source, applied(said, CASES / map_name, tmp_path / "map.toml", key))
     assert (code, [row["turns"] > 10 for row in report["signals"]]) == (0, [True, False, True, False])
     write_columns(tmp_path / "sound.npz", sound)

@@ -164,6 +164,8 @@ class SourceSamples:
     table."""
     width: float | None = None
     """Of an integer signal of a DBC: the number after which it starts again."""
+    first_row: int = 1
+    """Of a table: the row of the first value, counted below the names; `--from` leaves out rows."""
 
 
 @dataclass(frozen=True)
@@ -561,12 +563,16 @@ def read_table(path: Path, mapping: Map) -> Recording:
     modulo = mapping.clock.modulo
     clock = (raw[timed] - raw[timed][0]).astype(np.float64)  # ns since 1970 have more digits than a float can store
     kept = span().rows(path, (clock if modulo is None else np.unwrap(clock, period=modulo)) * mapping.clock.unit_s)
+    first = int(np.flatnonzero(timed)[np.argmax(kept)]) + 1
     clock = clock[kept] - clock[kept][0]
     nowhere = np.full(len(clock), np.nan)
     rows = np.arange(len(clock))
     sources = {
         channel.source: SourceSamples(
-            _column(path, columns, channel.source, channel.where)[timed][kept].astype(np.float64), rows, nowhere
+            _column(path, columns, channel.source, channel.where)[timed][kept].astype(np.float64),
+            rows,
+            nowhere,
+            first_row=first,
         )
         for channel in mapping.channels
     }

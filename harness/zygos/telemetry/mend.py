@@ -59,8 +59,9 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
                 if _message(other) == _message(channel):
                     samples = out[other.source]
                     kept = ~np.isin(_keys(samples), gone)
-                    values = (samples.value[kept], samples.group[kept], samples.stamp[kept])
-                    out[other.source] = SourceSamples(*values, samples.width)
+                    out[other.source] = replace(
+                        samples, value=samples.value[kept], group=samples.group[kept], stamp=samples.stamp[kept]
+                    )
                     times[other.source] = times[other.source][kept]
 
     for channel in mapping.channels:
@@ -223,7 +224,7 @@ class _Signal:
             self.warnings.append(f"{said}: check whether the angle was set anew there, or stood still before")
             return
         alike = np.all(np.abs(np.abs(jumps[at]) - size) < limits.TURN_NEAR.value * size)
-        remedy = "cut the recording there"
+        remedy = "cut the recording there (--from, --to)"
         if near.any() or alike:
             period = next((one for one in self._periods() if abs(size - one) <= limits.TURN_NEAR.value * one), size)
             remedy = f"write modulo = {period * channel.scale:.12g} there if the angle starts again, else {remedy}"
@@ -241,14 +242,18 @@ class _Signal:
             raise ZygosError(
                 f"{self.channel.where}: {self.channel.source} moves so far {self._at(k + 1)}, since the sample before, "
                 "that its turns cannot be counted; remedy: record faster, record an angle that does not start again, "
-                "or cut the recording at the gap"
+                "or cut the recording at the gap (--from, --to)"
             )
 
     def _at(self, k: int) -> str:
         """Where the k-th of the finite samples is in the recording."""
         place = self.finite[k]
         stamp = self.samples.stamp[place]
-        return f"at {stamp:.6g} s" if math.isfinite(stamp) else f"in row {int(self.samples.group[place]) + 1}"
+        return (
+            f"at {stamp:.6g} s"
+            if math.isfinite(stamp)
+            else f"in row {int(self.samples.group[place]) + self.samples.first_row}"
+        )
 
 
 def _unwrap(x: Floats, modulo: float, intervals: Floats) -> Floats:
