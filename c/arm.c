@@ -178,8 +178,8 @@ static uint32_t least(uint32_t a, uint32_t b)
     return (a < b) ? a : b;
 }
 
-/* Continues the fold of counts of which there may be more than bits. The factor is odd, so that a flipped bit always
-   changes the product. */
+/* Continues a fold of counts. The factor is odd, so that a flipped bit always changes the product, and in a way that
+   none of another count makes good. */
 static inline uint32_t mixed(uint32_t fold, uint32_t count)
 {
     return (((fold << 16u) | (fold >> 16u)) ^ count) * 0x9E3779B1u;
@@ -219,21 +219,13 @@ static inline uint32_t places_of(const zygos_arm_t *self)
     const zygos_column_map_t *map = &self->column_map;
     const uint32_t further =
         config->momentum_arc_cycles | config->joint_row_cycles | config->effects | config->reductions;
-    uint32_t fold = zygos_folded_count(config->joints, config->torque_law);
-    fold = zygos_folded_count(zygos_folded_count(fold, config->smoother_half_width), map->kinetic);
-    fold = zygos_folded_count(zygos_folded_count(fold, map->body), map->effects);
-    fold = zygos_folded_count(zygos_folded_count(fold, map->count), map->parameters);
-    fold = zygos_folded_count(zygos_folded_count(fold, self->smoother.joints), self->smoother.window);
-    fold = zygos_folded_count(fold, self->accumulator.width);
+    uint32_t fold = mixed(mixed(mixed(config->joints, config->torque_law), config->smoother_half_width), map->kinetic);
+    fold = mixed(mixed(mixed(mixed(fold, map->body), map->effects), map->count), map->parameters);
+    fold = mixed(mixed(mixed(fold, self->smoother.joints), self->smoother.window), self->accumulator.width);
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-        fold = zygos_folded_count(fold, map->joint[i]);
-        fold = zygos_folded_count(fold, map->rotor[i]);
-        fold = zygos_folded_count(fold, self->motor_sums.column_map.count[i]);
+        fold = mixed(mixed(mixed(fold, map->joint[i]), map->rotor[i]), self->motor_sums.column_map.count[i]);
     }
-    if (further != 0) {
-        fold = further_places_of(self, fold);
-    }
-    return zygos_fold_of_counts_end(fold);
+    return (further != 0) ? further_places_of(self, fold) : fold;
 }
 
 /* From the first to the last of these members of a struct, with what lies between. */
@@ -315,6 +307,7 @@ static void make_tables(zygos_arm_t *self)
     self->accumulator.width = self->column_map.parameters + 2u;
     self->accumulator.noisy = (own->compensation > 0) ? 1u : 0u;
     self->config_checksum = zygos_checksum_memory(0, own, sizeof *own);
+    self->copied_checksum = zygos_copied_checksum(own, &self->motor_sums, &self->momentum_sums, &self->joint_sums);
     self->tables_checksum = zygos_tables_checksum(self);
     self->places = places_of(self);
 }
@@ -1023,6 +1016,7 @@ void zygos_arm_take(const zygos_arm_t *self, zygos_work_t *work)
     work->ending = self->ending;
     memcpy(work->ended, self->ended, sizeof work->ended);
     memcpy(work->ended_forgetting, self->ended_forgetting, sizeof work->ended_forgetting);
+    work->checksum = self->copied_checksum;
     work->config = self->config;
 }
 

@@ -43,9 +43,29 @@ static void end_waiting(zygos_work_t *work)
     work->ending = 0;
 }
 
+uint64_t zygos_copied_checksum(const zygos_config_t *config, const zygos_motor_sums_t *motors,
+                               const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints)
+{
+    uint64_t sum = zygos_checksum_memory(0u, config, sizeof *config);
+    sum = zygos_checksum_memory(sum, &motors->column_map, sizeof motors->column_map);
+    sum = zygos_checksum_memory(sum, motors->noise, sizeof motors->noise);
+    sum = zygos_checksum_memory(sum, momentum->deviation, sizeof momentum->deviation);
+    sum = zygos_checksum_memory(sum, momentum->rotor, sizeof momentum->rotor);
+    if (joints->width == 0) {
+        return sum; /* nobody uses the others */
+    }
+    sum = zygos_checksum_memory(sum, joints->weight, sizeof joints->weight);
+    sum = zygos_checksum_memory(sum, joints->deviation, sizeof joints->deviation);
+    return zygos_checksum_memory(sum, joints->rotor_variance, sizeof joints->rotor_variance);
+}
+
 bool zygos_work_settle(zygos_work_t *work)
 {
-    if ((work == NULL) || (work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
+    if ((work == NULL) || (work->checksum != zygos_copied_checksum(&work->config, &work->motor_sums,
+                                                                   &work->momentum_sums, &work->joint_sums))) {
+        return false;
+    }
+    if ((work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
         (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_LAST_KINETIC) ||
         (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return false;

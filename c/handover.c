@@ -410,6 +410,7 @@ static void cut_guard(const zygos_arm_t *arm, zygos_work_t *work)
 {
     copy(SPAN(&work->guard, &arm->guard, zygos_guard_t, known, checksum));
     work->cycle = arm->cycle;
+    work->checksum = arm->copied_checksum;
 }
 
 static bool guard_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)

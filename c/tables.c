@@ -50,7 +50,7 @@ static uint64_t counts_checksum(const zygos_arm_t *arm)
         arm->smoother.joints, arm->smoother.window, arm->accumulator.noisy, momentum->columns, momentum->components,
         momentum->signals,    joints->width,        joints->increments,     joints->slice,     joints->share,
     };
-    return zygos_checksum_memory(0u, counts, (uint32_t)sizeof counts);
+    return zygos_checksum_number(zygos_checksum_memory(0u, counts, (uint32_t)sizeof counts), arm->copied_checksum);
 }
 
 uint64_t zygos_tables_checksum(const zygos_arm_t *arm)

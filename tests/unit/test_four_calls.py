@@ -25,7 +25,7 @@ KINDS = ("planar", "spatial", "ground")
 """Arms with rows of every kind."""
 CUT = {
     lib.ZYGOS_ENERGY_ROWS: ("accumulator", "arc"), lib.ZYGOS_MOTOR_ROWS: ("motor_sums",),
-    lib.ZYGOS_MOMENTUM_ROWS: ("momentum_sums",), 3: ("joint_sums", "joints_forgetting"), 4: ("guard", "cycle"),
+    lib.ZYGOS_MOMENTUM_ROWS: ("momentum_sums",), 3: ("joint_sums", "joints_forgetting"), 4: ("guard", "cycle", "checksum"),
 }  # fmt: skip
 """What each cut of the hand-over is of, by ``zygos_handover_t.kind``."""
 WRITTEN = ("value", "sigma", "half95", "covariance", "solution")

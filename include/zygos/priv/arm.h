@@ -37,6 +37,7 @@ typedef struct {
                      ///< number where a cycle found memory changed: none is processed before zygos_arm_scrub().
     uint64_t config_checksum; ///< Of config.
     uint64_t tables_checksum; ///< Of everything that follows from the configuration.
+    uint64_t copied_checksum; ///< Of config and those tables that are copied for a solution.
     uint64_t moving;          ///< Exclusive or of what changes from cycle to cycle: integrals, and places in windows.
     uint64_t scrubbed;        ///< Number of the newest cycle when zygos_arm_scrub() was called last, or of the start.
     uint64_t quarantined;     ///< Number of arcs and blocks that were dropped because memory was changed.
@@ -91,7 +92,7 @@ typedef struct {
 /// Digest of the offsets and types in the structs that library and caller exchange, at the default capacities on a
 /// processor of 64 bits. It changes when a field is moved or given another type, and not when it is renamed. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xC88A1F53u
+#define ZYGOS_LAYOUT 0xD42D97FCu
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 

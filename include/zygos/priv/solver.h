@@ -164,10 +164,16 @@ typedef struct {
     uint32_t ending;                     ///< Kinds of rows, as bits, whose open arc has ended and waits (zygos.h).
     uint64_t ended[ZYGOS_KINDS_OF_ROWS]; ///< The newest cycle of these arcs.
     double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors.
+    uint64_t checksum;                            ///< zygos_copied_checksum() of what was copied.
     zygos_config_t config;
     zygos_column_map_t column_map;
     zygos_solver_t solver;
 } zygos_work_t;
+
+/// Returns the checksum of a configuration and of the tables beside the sums, which no row sums protect. Cost: one pass
+/// over them.
+uint64_t zygos_copied_checksum(const zygos_config_t *config, const zygos_motor_sums_t *motors,
+                               const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints);
 
 /// Solves the normal equations in *work, which is changed, and writes *out. If zygos_arm_adopt() is in use, and the
 /// estimate is not valid because the residuals are larger than noise, the solution is repeated without the oldest
