@@ -1,110 +1,105 @@
-#include "zygos/priv/solver.h"
+#include "zygos/priv/sums.h"
 
+#include "zygos/priv/effects.h"
 #include "zygos/priv/reduction.h"
 
 #include <stddef.h>
 
 /* Arcs and blocks that were dropped because memory was changed. */
-static uint32_t quarantined(const zygos_work_t *work)
+static uint32_t quarantined(const zygos_sums_t *sums)
 {
-    return work->accumulator.quarantined + work->motor_sums.quarantined + work->momentum_sums.quarantined;
+    return sums->energy.quarantined + sums->motors.quarantined + sums->momentum.quarantined;
 }
 
-static bool ends(const zygos_work_t *work, uint32_t kind)
+static bool ends(const zygos_sums_t *sums, uint32_t kind)
 {
-    return ((work->ending >> kind) & 1u) != 0;
+    return ((sums->ending >> kind) & 1u) != 0;
 }
 
 /* By how much the sums of closed arcs fade before such an arc is added. */
-static double factor_of(const zygos_work_t *work, uint32_t kind)
+static double factor_of(const zygos_sums_t *sums, uint32_t kind)
 {
-    return zygos_kept_share(&work->config, work->ended_forgetting[kind]);
+    return zygos_kept_share(&sums->config, sums->ended_forgetting[kind]);
 }
 
 /* Ends the arcs that wait for their end. Needs that no task is open. */
-static void end_waiting(zygos_work_t *work)
+static void end_waiting(zygos_sums_t *sums)
 {
-    const zygos_config_t *config = &work->config;
-    if (ends(work, (uint32_t)ZYGOS_ENERGY_ROWS)) {
-        zygos_accumulator_forget(&work->accumulator, factor_of(work, (uint32_t)ZYGOS_ENERGY_ROWS));
-        zygos_guard_end_energy(&work->guard, config, &work->accumulator, work->ended[ZYGOS_ENERGY_ROWS], work->arc);
-        work->arc = 0;
+    const zygos_config_t *config = &sums->config;
+    if (ends(sums, (uint32_t)ZYGOS_ENERGY_ROWS)) {
+        zygos_accumulator_forget(&sums->energy, factor_of(sums, (uint32_t)ZYGOS_ENERGY_ROWS));
+        zygos_guard_end_energy(&sums->guard, config, &sums->energy, sums->ended[ZYGOS_ENERGY_ROWS], sums->arc);
+        sums->arc = 0;
     }
-    if (ends(work, (uint32_t)ZYGOS_MOTOR_ROWS)) {
-        zygos_motor_sums_forget(&work->motor_sums, factor_of(work, (uint32_t)ZYGOS_MOTOR_ROWS));
-        zygos_guard_end_motors(&work->guard, config, &work->column_map, &work->motor_sums,
-                               work->ended[ZYGOS_MOTOR_ROWS]);
+    if (ends(sums, (uint32_t)ZYGOS_MOTOR_ROWS)) {
+        zygos_motor_sums_forget(&sums->motors, factor_of(sums, (uint32_t)ZYGOS_MOTOR_ROWS));
+        zygos_guard_end_motors(&sums->guard, config, &sums->column_map, &sums->motors, sums->ended[ZYGOS_MOTOR_ROWS]);
     }
-    if (ends(work, (uint32_t)ZYGOS_MOMENTUM_ROWS)) {
-        zygos_momentum_sums_forget(&work->momentum_sums, factor_of(work, (uint32_t)ZYGOS_MOMENTUM_ROWS));
-        zygos_guard_end_momentum(&work->guard, config, &work->column_map, &work->momentum_sums,
-                                 work->ended[ZYGOS_MOMENTUM_ROWS]);
+    if (ends(sums, (uint32_t)ZYGOS_MOMENTUM_ROWS)) {
+        zygos_momentum_sums_forget(&sums->momentum, factor_of(sums, (uint32_t)ZYGOS_MOMENTUM_ROWS));
+        zygos_guard_end_momentum(&sums->guard, config, &sums->column_map, &sums->momentum,
+                                 sums->ended[ZYGOS_MOMENTUM_ROWS]);
     }
-    work->ending = 0;
+    sums->ending = 0;
 }
 
-bool zygos_work_settle(zygos_work_t *work)
+bool zygos_sums_settle(zygos_sums_t *sums)
 {
-    if ((work == NULL) || (work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
-        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_LAST_KINETIC) ||
-        (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
+    if ((sums == NULL) || (sums->config.joints < 1u) || (sums->config.joints > ZYGOS_MAX_JOINTS) ||
+        (zygos_effects_check(&sums->config) < 0) || (sums->config.kinetic > (uint32_t)ZYGOS_LAST_KINETIC) ||
+        (sums->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return false;
     }
-    if (zygos_reduction_check(&work->config) < 0) {
+    if (zygos_reduction_check(&sums->config) < 0) {
         return false;
     }
-    zygos_balance_column_map(&work->config, &work->column_map);
-    if (!zygos_accumulator_intact(&work->accumulator, work->column_map.parameters) ||
-        !zygos_joint_sums_intact(&work->joint_sums, &work->config, &work->column_map) ||
-        !zygos_motor_sums_intact(&work->motor_sums, &work->config) ||
-        !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
+    zygos_balance_column_map(&sums->config, &sums->column_map);
+    if (!zygos_accumulator_intact(&sums->energy, sums->column_map.parameters) ||
+        !zygos_joint_sums_intact(&sums->joints, &sums->config, &sums->column_map) ||
+        !zygos_motor_sums_intact(&sums->motors, &sums->config) ||
+        !zygos_momentum_sums_intact(&sums->momentum, &sums->config)) {
         return false;
     }
-    const uint32_t before = quarantined(work);
-    zygos_guard_settle_energy(&work->guard, &work->config, &work->accumulator);
-    zygos_guard_settle_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums);
-    zygos_guard_settle_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums);
-    end_waiting(work);
-    return quarantined(work) == before;
+    const uint32_t before = quarantined(sums);
+    zygos_guard_settle_energy(&sums->guard, &sums->config, &sums->energy);
+    zygos_guard_settle_motors(&sums->guard, &sums->config, &sums->column_map, &sums->motors);
+    zygos_guard_settle_momentum(&sums->guard, &sums->config, &sums->column_map, &sums->momentum);
+    end_waiting(sums);
+    return quarantined(sums) == before;
 }
 
-/* Whether what is summed matches what is summed beside it, or has the right checksum. */
-static bool match(const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
-                  const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints, const zygos_config_t *config)
+bool zygos_sums_match(const zygos_sums_t *sums)
 {
-    return (zygos_accumulator_check(energy) <= 1.0) && (zygos_motor_sums_check(motors, config) <= 1.0) &&
-           (zygos_momentum_sums_check(momentum) <= 1.0) && (zygos_joint_sums_check(joints) <= 1.0);
-}
-
-bool zygos_solver_matches(const zygos_solver_t *self)
-{
-    return match(self->accumulator, self->motor_sums, self->momentum_sums, self->joint_sums, self->config);
+    return (zygos_accumulator_check(&sums->energy) <= 1.0) &&
+           (zygos_motor_sums_check(&sums->motors, &sums->config) <= 1.0) &&
+           (zygos_momentum_sums_check(&sums->momentum) <= 1.0) && (zygos_joint_sums_check(&sums->joints) <= 1.0);
 }
 
 /* Whether the work was taken, and from memory that nobody changed; closes the open arcs. Apart from the solver, so that
    who only checks does not link it. */
-bool zygos_work_intact(zygos_work_t *work)
+bool zygos_sums_intact(zygos_sums_t *sums)
 {
-    if (!zygos_work_settle(work)) {
+    if (!zygos_sums_settle(sums)) {
         return false;
     }
-    zygos_accumulator_t *sums = &work->accumulator;
-    zygos_accumulator_flush(sums);
-    zygos_joint_sums_flush(&work->joint_sums, &work->config);
-    zygos_guard_end_joints(&work->guard, &work->config, &work->joint_sums, work->cycle, &work->joints_forgetting);
-    zygos_joint_sums_flush(&work->joint_sums, &work->config);
-    if (!match(sums, &work->motor_sums, &work->momentum_sums, &work->joint_sums, &work->config)) {
+    zygos_accumulator_t *energy = &sums->energy;
+    zygos_accumulator_flush(energy);
+    zygos_joint_sums_flush(&sums->joints, &sums->config);
+    zygos_guard_end_joints(&sums->guard, &sums->config, &sums->joints, sums->cycle,
+                           &sums->forgetting[ZYGOS_JOINT_KIND]);
+    zygos_joint_sums_flush(&sums->joints, &sums->config);
+    if (!zygos_sums_match(sums)) {
         return false;
     }
-    const uint32_t before = quarantined(work);
-    zygos_guard_end_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums, work->cycle);
-    zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
-    if (work->config.impulse_arc_cycles > 0) {
-        zygos_guard_end_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums, work->cycle);
+    const uint32_t before = quarantined(sums);
+    zygos_guard_end_momentum(&sums->guard, &sums->config, &sums->column_map, &sums->momentum, sums->cycle);
+    zygos_guard_end_energy(&sums->guard, &sums->config, energy, sums->cycle, sums->arc);
+    if (sums->config.impulse_arc_cycles > 0) {
+        zygos_guard_end_motors(&sums->guard, &sums->config, &sums->column_map, &sums->motors, sums->cycle);
     }
-    zygos_accumulator_apply_fade(sums);
-    zygos_motor_sums_apply_fade(&work->motor_sums);
-    zygos_momentum_sums_apply_fade(&work->momentum_sums);
-    return (quarantined(work) == before) && (sums->corrupt == 0) && (work->motor_sums.corrupt == 0) &&
-           (work->momentum_sums.corrupt == 0);
+    zygos_accumulator_apply_fade(energy);
+    zygos_motor_sums_apply_fade(&sums->motors);
+    zygos_momentum_sums_apply_fade(&sums->momentum);
+    return (quarantined(sums) == before) && (energy->corrupt == 0) && (sums->motors.corrupt == 0) &&
+           (sums->momentum.corrupt == 0);
 }

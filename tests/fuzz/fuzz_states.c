@@ -128,10 +128,10 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
 
 static uint32_t regions_of_state(region_t *out)
 {
-    uint32_t n = regions_of_sums(out, offsetof(zygos_arm_t, accumulator), offsetof(zygos_arm_t, motor_sums),
-                                 offsetof(zygos_arm_t, momentum_sums));
-    out[n++] = (region_t){ 0, offsetof(zygos_arm_t, config) };
-    out[n++] = (region_t){ offsetof(zygos_arm_t, column_map), sizeof(zygos_column_map_t) };
+    uint32_t n = regions_of_sums(out, offsetof(zygos_arm_t, sums.energy), offsetof(zygos_arm_t, sums.motors),
+                                 offsetof(zygos_arm_t, sums.momentum));
+    out[n++] = (region_t){ 0, offsetof(zygos_arm_t, sums.config) };
+    out[n++] = (region_t){ offsetof(zygos_arm_t, sums.column_map), sizeof(zygos_column_map_t) };
     out[n++] = (region_t){ offsetof(zygos_arm_t, receiver), offsetof(zygos_receiver_t, queue.slot) };
     out[n++] = (region_t){ offsetof(zygos_arm_t, previous), sizeof(zygos_previous_cycle_t) };
     out[n++] = (region_t){ offsetof(zygos_arm_t, smoother), 16 };
@@ -142,10 +142,10 @@ static uint32_t regions_of_state(region_t *out)
 
 static uint32_t regions_of_work(region_t *out)
 {
-    uint32_t n = regions_of_sums(out, offsetof(zygos_work_t, accumulator), offsetof(zygos_work_t, motor_sums),
-                                 offsetof(zygos_work_t, momentum_sums));
-    out[n++] = (region_t){ offsetof(zygos_work_t, config), sizeof(zygos_config_t) };
-    out[n++] = (region_t){ offsetof(zygos_work_t, cycle), 8 };
+    uint32_t n = regions_of_sums(out, offsetof(zygos_work_t, sums.energy), offsetof(zygos_work_t, sums.motors),
+                                 offsetof(zygos_work_t, sums.momentum));
+    out[n++] = (region_t){ offsetof(zygos_work_t, sums.config), sizeof(zygos_config_t) };
+    out[n++] = (region_t){ offsetof(zygos_work_t, sums.cycle), 8 };
     return n;
 }
 
@@ -277,12 +277,12 @@ static void upset(zygos_arm_t *self, const region_t *region, uint32_t regions)
         }
     } else {
         const uint32_t magic = self->magic;
-        const zygos_config_t configured = self->config;
+        const zygos_config_t configured = self->sums.config;
         for (size_t at = 0; at < sizeof *self; at++) {
             bytes[at] = (unsigned char)draw();
         }
         self->magic = magic;
-        self->config = (below(4) == 0) ? self->config : configured;
+        self->sums.config = (below(4) == 0) ? self->sums.config : configured;
     }
 }
 
@@ -360,8 +360,8 @@ int main(int count, char **argument)
     const uint32_t state_regions = regions_of_state(of_state);
     const uint32_t work_regions = regions_of_work(of_work);
     const uint32_t sums_regions =
-        regions_of_sums(of_sums, offsetof(zygos_arm_t, accumulator), offsetof(zygos_arm_t, motor_sums),
-                        offsetof(zygos_arm_t, momentum_sums));
+        regions_of_sums(of_sums, offsetof(zygos_arm_t, sums.energy), offsetof(zygos_arm_t, sums.motors),
+                        offsetof(zygos_arm_t, sums.momentum));
     uint64_t refused_state = 0;
     uint64_t refused_otherwise = 0;
     uint64_t resumed = 0;
@@ -376,7 +376,7 @@ int main(int count, char **argument)
         arm = good[from];
         change(&arm, sizeof arm, of_state, state_regions);
         if (k % 4u != 0) {
-            forge(&arm.accumulator, &arm.motor_sums, &arm.momentum_sums);
+            forge(&arm.sums.energy, &arm.sums.motors, &arm.sums.momentum);
         }
         check(zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1, "not sealed");
         check(zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, sizeof head + sizeof arm) == 1,
@@ -415,7 +415,7 @@ int main(int count, char **argument)
         zygos_arm_take(&good[from], &work);
         change(&work, sizeof work, of_work, work_regions);
         if (k % 4u != 0) {
-            forge(&work.accumulator, &work.motor_sums, &work.momentum_sums);
+            forge(&work.sums.energy, &work.sums.motors, &work.sums.momentum);
         }
         values += (zygos_work_solve(&work, &estimate) == 1) ? 1u : 0u;
         corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;

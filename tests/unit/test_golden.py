@@ -71,7 +71,7 @@ def flown(name: str) -> Iterator[Any]:
         fly(state, cycles, lap * len(cycles))
     yield solved(state)
     if name == WITH_GUARD:
-        assert sum(state.guard.left_out) > 0
+        assert sum(state.sums.guard.left_out) > 0
         cycles = readings(CONFIGURATIONS[name]["motion"])
         assert lib.zygos_arm_restart(state, lib.ZYGOS_KEEP_JOINTS) == 1
         fly(state, cycles, laps * len(cycles))

@@ -53,7 +53,7 @@ def shaken(arm: Arm, n: int, gap: int | None = None) -> Cycles:
 
 
 def sums_of(flight: Flight) -> Any:
-    return ffi.addressof(flight.native, "momentum_sums")
+    return ffi.addressof(flight.native, "sums", "momentum")
 
 
 def closed(arm: Arm, cycles: Cycles) -> tuple[list[Floats], Floats, Any]:
@@ -390,9 +390,9 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     flight = Flight(replace(arm, momentum_max_s=5.0))
     flight.cycles(noisy(clean, 0))
     found, work = flight.estimate(), flight._work
-    p, sums = len(found.names), work.momentum_sums
+    p, sums = len(found.names), work.sums.momentum
     places = [k for k, name in enumerate(found.names) if name.startswith(("N", "Im"))]
-    blocks = [work.accumulator.block[place] for place in work.accumulator.order[0 : work.accumulator.open]]
+    blocks = [work.sums.energy.block[place] for place in work.sums.energy.order[0 : work.sums.energy.open]]
     parts = [symmetric(block.gram, p + 2)[: p + 1, : p + 1] for block in blocks]
     factors = [sum(block.instants for block in blocks) / sum(block.square for block in blocks)] * len(parts)
     for b in range(sums.count):
@@ -425,7 +425,7 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     sums_of_rows, places_of = np.zeros(p), 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
     for block in blocks:
         step = np.array(
-            list(lib.zygos_accumulator_deviation(ffi.addressof(work, "accumulator"), ffi.addressof(block))[0:p])
+            list(lib.zygos_accumulator_deviation(ffi.addressof(work, "sums", "energy"), ffi.addressof(block))[0:p])
         )
         moved = np.array([solved(whole, sums_of_rows + share_of * step) for share_of in places_of])
         covariance += block.variance[0] * moved.T @ moved / len(places_of)

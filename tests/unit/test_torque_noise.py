@@ -127,7 +127,7 @@ def test_the_variance_of_what_is_forgotten_fades_with_it(arm: Arm, motion: Cycle
 
     def rates() -> list[float]:
         settle(flight)
-        sums = flight.native.accumulator
+        sums = flight.native.sums.energy
         closed = [sums.block[place] for place in sums.order[0 : sums.open]]
         return [block.variance[0] / block.instants for block in closed]
 
@@ -135,5 +135,5 @@ def test_the_variance_of_what_is_forgotten_fades_with_it(arm: Arm, motion: Cycle
     first = rates()
     fly(flight, motion, 80, rng)
     last = rates()
-    assert len(last) < flight.native.accumulator.arcs  # blocks of several arcs have merged
+    assert len(last) < flight.native.sums.energy.arcs  # blocks of several arcs have merged
     assert max(last) < 2.0 * max(first)
