@@ -364,19 +364,11 @@ int zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config)
     make_tables(self);
     zygos_receiver_init(&self->receiver);
     zygos_balance_reset(&self->balance);
-    zygos_accumulator_init(&self->sums.energy, self->sums.column_map.parameters, own->arc_cycles, own->period_s);
     zygos_impulse_reset(&self->impulse);
-    zygos_motor_sums_clear(&self->sums.motors, own);
     zygos_momentum_reset(&self->momentum);
-    zygos_momentum_sums_clear(&self->sums.momentum, own);
     zygos_joint_reset(&self->joint, own);
-    zygos_joint_sums_clear(&self->sums.joints);
-    self->sums.forgetting[ZYGOS_JOINT_KIND] = 1.0;
-    self->sums.forgetting[ZYGOS_ENERGY_ROWS] = 1.0;
-    self->sums.forgetting[ZYGOS_MOTOR_ROWS] = 1.0;
-    self->sums.forgetting[ZYGOS_MOMENTUM_ROWS] = 1.0;
-    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        self->sums.ended_forgetting[kind] = 1.0;
+    for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
+        zygos_sums_clear(&self->sums, kind);
     }
     self->moving = moving_of(self);
     self->magic = MAGIC;
@@ -394,86 +386,10 @@ int zygos_arm_frame(zygos_arm_t *self, const zygos_frame_t *frame)
     return zygos_receiver_frame(&self->receiver, &self->sums.config, frame);
 }
 
-static bool fades(const zygos_arm_t *self, double product)
-{
-    return zygos_kept_share(&self->sums.config, product) < 1.0;
-}
-
-/* Sums of closed arcs fade when an arc ends. Who is of use has waited until nothing is being done to them; where an arc
-   is too short, all fades with the next one. */
-static void end_arc(zygos_arm_t *self, uint64_t cycle)
-{
-    if (zygos_accumulator_rests(&self->sums.energy)) {
-        if (fades(self, self->sums.forgetting[ZYGOS_ENERGY_ROWS])) {
-            zygos_accumulator_forget(&self->sums.energy, self->sums.forgetting[ZYGOS_ENERGY_ROWS]);
-        }
-        self->sums.forgetting[ZYGOS_ENERGY_ROWS] = 1.0;
-    }
-    (void)zygos_accumulator_close(&self->sums.energy, cycle, self->sums.arc);
-    self->sums.arc = 0;
-}
-
-static void end_joint_arc(zygos_arm_t *self, uint64_t cycle)
-{
-    if (self->sums.motors.task == ZYGOS_MOTOR_NONE) {
-        if (fades(self, self->sums.forgetting[ZYGOS_MOTOR_ROWS])) {
-            zygos_motor_sums_forget(&self->sums.motors, self->sums.forgetting[ZYGOS_MOTOR_ROWS]);
-        }
-        self->sums.forgetting[ZYGOS_MOTOR_ROWS] = 1.0;
-    }
-    (void)zygos_motor_sums_close(&self->sums.motors, cycle);
-}
-
-static void end_momentum_arc(zygos_arm_t *self, uint64_t cycle)
-{
-    if (self->sums.momentum.task == ZYGOS_MOMENTUM_NONE) {
-        if (fades(self, self->sums.forgetting[ZYGOS_MOMENTUM_ROWS])) {
-            zygos_momentum_sums_forget(&self->sums.momentum, self->sums.forgetting[ZYGOS_MOMENTUM_ROWS]);
-        }
-        self->sums.forgetting[ZYGOS_MOMENTUM_ROWS] = 1.0;
-    }
-    (void)zygos_momentum_sums_close(&self->sums.momentum, cycle);
-}
-
 /* ---------------------------------------------------------------- ends of arcs
 
    An arc that ends while the one before it is closing waits until that one is closed, which would cost many times a
    cycle at once. There are no rows of its kind in that time. */
-
-static bool is_waiting(const zygos_arm_t *self, uint32_t kind)
-{
-    return ((self->sums.ending >> kind) & 1u) != 0;
-}
-
-/* No arc of that kind waits any more: all fades with the next one. The product is 1 then, so that a flipped bit of
-   `ending` makes nothing fade. */
-static void drop_waiting(zygos_arm_t *self, uint32_t kind)
-{
-    if (is_waiting(self, kind)) {
-        self->sums.forgetting[kind] *= self->sums.ended_forgetting[kind];
-        self->sums.ending ^= 1u << kind;
-    }
-    self->sums.ended_forgetting[kind] = 1.0;
-}
-
-static void drop_all_waiting(zygos_arm_t *self)
-{
-    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        drop_waiting(self, kind);
-    }
-    self->sums.ending = 0; /* without bits of other kinds, which memory may supply */
-}
-
-static void end_arc_of(zygos_arm_t *self, uint32_t kind, uint64_t cycle)
-{
-    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        end_joint_arc(self, cycle);
-    } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        end_momentum_arc(self, cycle);
-    } else {
-        end_arc(self, cycle);
-    }
-}
 
 static bool is_held(const zygos_arm_t *self, uint32_t kind)
 {
@@ -484,24 +400,14 @@ static bool is_held(const zygos_arm_t *self, uint32_t kind)
    closed arcs that merge have to be whole before they fade. */
 static bool has_to_wait(const zygos_arm_t *self, uint32_t kind)
 {
-    const bool held = is_held(self, kind);
-    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        return (held || (self->sums.motors.task != ZYGOS_MOTOR_NONE)) && !zygos_motor_sums_is_short(&self->sums.motors);
-    }
-    if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        return (held || (self->sums.momentum.task != ZYGOS_MOMENTUM_NONE)) &&
-               !zygos_momentum_sums_is_short(&self->sums.momentum);
-    }
-    const bool fading = (self->sums.config.forgetting_factor < 1.0) && !zygos_accumulator_rests(&self->sums.energy);
-    return (held || zygos_accumulator_closing(&self->sums.energy) || fading) &&
-           !zygos_accumulator_is_short(&self->sums.energy);
+    return (is_held(self, kind) || !zygos_sums_can_close(&self->sums, kind)) && !zygos_sums_is_short(&self->sums, kind);
 }
 
 /* Ends the open arc, or lets it wait for that. */
 static void end_in_turn(zygos_arm_t *self, uint32_t kind)
 {
     if (!has_to_wait(self, kind)) {
-        end_arc_of(self, kind, self->sums.cycle);
+        zygos_sums_end_arc(&self->sums, kind, self->sums.cycle);
         return;
     }
     double *forgetting = &self->sums.forgetting[kind];
@@ -511,33 +417,12 @@ static void end_in_turn(zygos_arm_t *self, uint32_t kind)
     *forgetting = 1.0;
 }
 
-/* Ends the arc that waits, if there is one of that kind. */
-static void end_waiting(zygos_arm_t *self, uint32_t kind)
-{
-    if (is_waiting(self, kind)) {
-        double *forgetting = &self->sums.forgetting[kind];
-        const double since = *forgetting;
-        self->sums.ending ^= 1u << kind;
-        *forgetting = self->sums.ended_forgetting[kind];
-        self->sums.ended_forgetting[kind] = 1.0;
-        end_arc_of(self, kind, self->sums.ended[kind]);
-        *forgetting *= since;
-    }
-}
-
-static void end_all_waiting(zygos_arm_t *self)
-{
-    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        end_waiting(self, kind);
-    }
-}
-
 /* Ends those arcs that no longer have to wait. */
 static void end_free(zygos_arm_t *self)
 {
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         if (!has_to_wait(self, kind)) {
-            end_waiting(self, kind);
+            zygos_sums_end_waiting(&self->sums, kind);
         }
     }
 }
@@ -551,7 +436,7 @@ static void gap(zygos_arm_t *self)
     zygos_momentum_reset(&self->momentum);
     zygos_joint_reset(&self->joint, &self->sums.config);
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        if (!is_waiting(self, kind)) {
+        if (!zygos_sums_is_ending(&self->sums, kind)) {
             end_in_turn(self, kind);
         }
     }
@@ -568,60 +453,33 @@ static uint32_t share_rows(zygos_arm_t *self)
 static void proceed_energy(zygos_arm_t *self)
 {
     if ((self->sums.config.arc_cycles > 0) && !is_held(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
-        zygos_guard_proceed_energy(&self->sums.guard, &self->sums.config, &self->sums.energy);
+        (void)zygos_guard_proceed(&self->sums, (uint32_t)ZYGOS_ENERGY_ROWS);
     }
+}
+
+static bool may_proceed(const zygos_arm_t *self, uint32_t kind)
+{
+    return zygos_sums_is_busy(&self->sums, kind) && !is_held(self, kind);
 }
 
 /* The tasks proceed in a cycle without rows. */
 static void idle(zygos_arm_t *self)
 {
-    const zygos_config_t *config = &self->sums.config;
     const uint32_t most = share_rows(self);
     const uint32_t parts = ((self->beside != 0) && (most > 1u)) ? most - 1u : most;
     for (uint32_t part = 0; part < parts; part++) {
-        if ((self->sums.motors.task != ZYGOS_MOTOR_NONE) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS)) {
-            (void)zygos_guard_proceed_motors(&self->sums.guard, config, &self->sums.column_map, &self->sums.motors);
-        } else if ((self->sums.momentum.task != ZYGOS_MOMENTUM_NONE) && !is_held(self, (uint32_t)ZYGOS_MOMENTUM_ROWS)) {
-            (void)zygos_guard_proceed_momentum(&self->sums.guard, config, &self->sums.column_map, &self->sums.momentum);
+        uint32_t kind = (uint32_t)ZYGOS_MOTOR_ROWS;
+        while ((kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) && !may_proceed(self, kind)) {
+            kind++;
+        }
+        if (kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) {
+            (void)zygos_guard_proceed(&self->sums, kind);
         } else {
             proceed_energy(self);
         }
         if (self->sums.ending != 0) {
             end_free(self);
         }
-    }
-}
-
-static void settle_motors(zygos_arm_t *self)
-{
-    zygos_guard_settle_motors(&self->sums.guard, &self->sums.config, &self->sums.column_map, &self->sums.motors);
-}
-
-static void settle_sums(zygos_arm_t *self)
-{
-    zygos_guard_settle_energy(&self->sums.guard, &self->sums.config, &self->sums.energy);
-    settle_motors(self);
-    zygos_guard_settle_momentum(&self->sums.guard, &self->sums.config, &self->sums.column_map, &self->sums.momentum);
-}
-
-/* Finishes what proceeds beside the cycles. */
-static void settle(zygos_arm_t *self)
-{
-    settle_sums(self);
-    if (self->sums.ending != 0) {
-        end_all_waiting(self);
-        settle_sums(self);
-    }
-}
-
-static void drop_after(zygos_arm_t *self, uint32_t kind, uint64_t cycle)
-{
-    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        zygos_motor_sums_drop_after(&self->sums.motors, cycle);
-    } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        zygos_momentum_sums_drop_after(&self->sums.momentum, cycle);
-    } else {
-        zygos_accumulator_drop_after(&self->sums.energy, cycle);
     }
 }
 
@@ -637,11 +495,11 @@ static void void_arcs(zygos_arm_t *self, const zygos_cycle_t *cycle)
         return;
     }
     self->sums.dropped++;
-    zygos_joint_sums_drop_after(&self->sums.joints, trusted);
+    zygos_sums_drop_after(&self->sums, ZYGOS_JOINT_KIND, trusted);
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        if (!is_waiting(self, kind) || (self->sums.ended[kind] > trusted)) {
-            drop_waiting(self, kind); /* with the open arc, as which it counts */
-            drop_after(self, kind, trusted);
+        if (!zygos_sums_is_ending(&self->sums, kind) || (self->sums.ended[kind] > trusted)) {
+            zygos_sums_drop_waiting(&self->sums, kind); /* with the open arc, as which it counts */
+            zygos_sums_drop_after(&self->sums, kind, trusted);
         }
     }
 }
@@ -657,7 +515,7 @@ static void go_without_row(zygos_arm_t *self, uint32_t kind)
 {
     self->waited[kind]++;
     if (!has_to_wait(self, kind)) {
-        end_waiting(self, kind);
+        zygos_sums_end_waiting(&self->sums, kind);
     }
 }
 
@@ -666,7 +524,7 @@ static void go_without_row(zygos_arm_t *self, uint32_t kind)
 static bool yields(const zygos_arm_t *self, uint32_t kind)
 {
     const uint32_t turn = (uint32_t)(self->cycles & 3u);
-    const bool momentum = is_waiting(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && (turn == 1u);
+    const bool momentum = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS) && (turn == 1u);
     const bool energy = zygos_accumulator_has_work(&self->sums.energy) && ((turn & 1u) == 0);
     return energy || (momentum && (kind == (uint32_t)ZYGOS_MOTOR_ROWS));
 }
@@ -684,12 +542,12 @@ static bool add_impulses(zygos_arm_t *self, bool busy)
                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
         return busy;
     }
-    const bool waits = is_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS);
+    const bool waits = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOTOR_ROWS);
     if (!waits) {
         zygos_motor_sums_add(&self->sums.motors, config, &self->impulse_rows, self->arm_state.accepted);
     }
     busy = busy || (!yields(self, (uint32_t)ZYGOS_MOTOR_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS) &&
-                    zygos_guard_proceed_motors(&self->sums.guard, config, &self->sums.column_map, &self->sums.motors));
+                    zygos_guard_proceed(&self->sums, (uint32_t)ZYGOS_MOTOR_ROWS));
     if (waits) {
         go_without_row(self, (uint32_t)ZYGOS_MOTOR_ROWS);
         zygos_impulse_new_arc(&self->impulse);
@@ -708,14 +566,13 @@ static bool add_momentum(zygos_arm_t *self, bool busy)
         (zygos_momentum_advance(&self->momentum, config, &self->arm_state) == 0)) {
         return busy;
     }
-    const bool waits = is_waiting(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
+    const bool waits = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS);
     if (!waits) {
         zygos_momentum_sums_add(&self->sums.momentum, config, &self->momentum, &self->arm_state, &self->motion,
                                 self->arm_state.accepted);
     }
-    busy =
-        busy || (!yields(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) &&
-                 zygos_guard_proceed_momentum(&self->sums.guard, config, &self->sums.column_map, &self->sums.momentum));
+    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) &&
+                    zygos_guard_proceed(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS));
     if (waits) {
         go_without_row(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
         zygos_momentum_new_arc(&self->momentum);
@@ -736,8 +593,7 @@ static bool add_joints(zygos_arm_t *self)
     }
     if (zygos_joint_sums_step(&self->sums.joints, config, self->arm_state.accepted,
                               self->joint.turn < config->joints)) {
-        zygos_guard_end_joints(&self->sums.guard, config, &self->sums.joints, self->sums.cycle,
-                               &self->sums.forgetting[ZYGOS_JOINT_KIND]);
+        zygos_guard_end_joints(&self->sums);
     }
     const int formed = zygos_joint_row(&self->joint, config, &self->sums.column_map, &self->geometry, &self->arm_state,
                                        &self->motion, zygos_balance_torque_before(&self->balance),
@@ -761,7 +617,7 @@ static void add_energy(zygos_arm_t *self, bool busy)
                            &self->motion, row) == 0)) {
         return;
     }
-    if (is_waiting(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
+    if (zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_ENERGY_ROWS)) {
         const uint32_t most = share_rows(self);
         const uint32_t parts = busy ? 1u : most;
         for (uint32_t part = 0; part < parts; part++) {
@@ -854,17 +710,8 @@ static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
 /* Whether what is used as a place, a count or a length can be. What follows from the configuration is computed anew. */
 static bool is_intact(const zygos_arm_t *self)
 {
-    zygos_column_map_t column_map;
-    if (zygos_config_check(&self->sums.config) < 0) {
-        return false;
-    }
-    zygos_balance_column_map(&self->sums.config, &column_map);
-    return zygos_receiver_intact(&self->receiver) &&
-           zygos_accumulator_intact(&self->sums.energy, column_map.parameters) &&
-           zygos_joint_intact(&self->joint, &self->sums.config) &&
-           zygos_joint_sums_intact(&self->sums.joints, &self->sums.config, &column_map) &&
-           zygos_motor_sums_intact(&self->sums.motors, &self->sums.config) &&
-           zygos_momentum_sums_intact(&self->sums.momentum, &self->sums.config) &&
+    return (zygos_config_check(&self->sums.config) >= 0) && zygos_receiver_intact(&self->receiver) &&
+           zygos_joint_intact(&self->joint, &self->sums.config) && zygos_sums_are_intact(&self->sums) &&
            zygos_guard_intact(&self->sums.guard) && (self->sums.ending < (1u << ZYGOS_KINDS_OF_ROWS));
 }
 
@@ -890,7 +737,7 @@ int zygos_arm_resume(zygos_arm_t *self, const zygos_config_t *config)
     make_tables(self);
     self->scrubbed = self->sums.cycle;
     gap(self);
-    settle(self);
+    zygos_sums_settle(&self->sums);
     self->instant = 0;
     zygos_receiver_resume(&self->receiver);
     self->moving = moving_of(self);
@@ -981,25 +828,15 @@ int zygos_arm_end_arcs(zygos_arm_t *self)
     if (!is_steady(self) || !is_intact(self)) {
         return ZYGOS_E_STATE;
     }
-    const zygos_config_t *config = &self->sums.config;
-    settle(self);
-    if (config->arc_cycles > 0) {
-        end_arc(self, self->sums.cycle);
-        zygos_balance_new_arc(&self->balance);
+    zygos_sums_settle(&self->sums);
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        zygos_sums_end_arc(&self->sums, kind, self->sums.cycle);
     }
-    if (config->impulse_arc_cycles > 0) {
-        end_joint_arc(self, self->sums.cycle);
-        zygos_impulse_new_arc(&self->impulse);
-    }
-    if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
-        end_momentum_arc(self, self->sums.cycle);
-        zygos_momentum_new_arc(&self->momentum);
-    }
-    zygos_joint_sums_flush(&self->sums.joints, config);
-    zygos_guard_end_joints(&self->sums.guard, config, &self->sums.joints, self->sums.cycle,
-                           &self->sums.forgetting[ZYGOS_JOINT_KIND]);
-    zygos_joint_sums_flush(&self->sums.joints, config);
-    settle_sums(self);
+    zygos_balance_new_arc(&self->balance);
+    zygos_impulse_new_arc(&self->impulse);
+    zygos_momentum_new_arc(&self->momentum);
+    zygos_sums_end_segment(&self->sums);
+    zygos_sums_settle(&self->sums);
     self->moving = moving_of(self);
     return 1;
 }
@@ -1024,11 +861,9 @@ int zygos_arm_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate)
         return ZYGOS_E_STATE;
     }
     self->sums.guard.adopting = 1;
-    settle(self);
+    zygos_sums_settle(&self->sums);
     self->sums.dropped++; /* tasks were finished at once */
-    const bool adopted =
-        zygos_guard_adopt(&self->sums.guard, &self->sums.config, &self->sums.column_map, &self->sums.energy,
-                          &self->sums.motors, &self->sums.momentum, &self->sums.joints, estimate);
+    const bool adopted = zygos_guard_adopt(&self->sums, estimate);
     self->moving = moving_of(self);
     return adopted ? 1 : 0;
 }
@@ -1048,7 +883,7 @@ int zygos_arm_check(const zygos_arm_t *self, const zygos_config_t *config, zygos
         return ZYGOS_E_STATE;
     }
     zygos_arm_take(self, work);
-    return zygos_sums_intact(&work->sums) ? 1 : ZYGOS_E_SUMS;
+    return zygos_sums_end_copy(&work->sums) ? 1 : ZYGOS_E_SUMS;
 }
 
 /* Drops what has not ended: windows, integrals and open arcs. */
@@ -1060,13 +895,13 @@ static void drop_open(zygos_arm_t *self)
     zygos_impulse_reset(&self->impulse);
     zygos_momentum_reset(&self->momentum);
     zygos_joint_reset(&self->joint, &self->sums.config);
-    zygos_accumulator_drop_after(&self->sums.energy, self->sums.cycle);
-    zygos_motor_sums_drop_after(&self->sums.motors, self->sums.cycle);
-    zygos_momentum_sums_drop_after(&self->sums.momentum, self->sums.cycle);
-    zygos_joint_sums_drop_after(&self->sums.joints, self->sums.cycle);
+    for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
+        zygos_sums_drop_waiting(&self->sums, kind);
+        zygos_sums_drop_after(&self->sums, kind, self->sums.cycle);
+    }
+    self->sums.ending = 0; /* without bits of other kinds, which memory may supply */
     self->sums.arc = 0;
     self->instant = 0;
-    drop_all_waiting(self);
 }
 
 /* Indices and flags that change. Returns what was found. */
@@ -1092,8 +927,7 @@ static uint32_t scrub_places(zygos_arm_t *self)
 
 uint32_t zygos_arm_count_quarantined(zygos_arm_t *self)
 {
-    const uint32_t dropped = self->sums.energy.quarantined + self->sums.motors.quarantined +
-                             self->sums.momentum.quarantined + self->sums.joints.quarantined;
+    const uint32_t dropped = zygos_sums_quarantined(&self->sums);
     self->sums.energy.quarantined = 0;
     self->sums.motors.quarantined = 0;
     self->sums.momentum.quarantined = 0;
@@ -1107,27 +941,10 @@ bool zygos_arm_is_whole(const zygos_arm_t *self)
     return (self->magic == MAGIC) && is_steady(self) && is_intact(self);
 }
 
-/* The sums of each kind. Returns what was found. */
+/* Returns what was found. */
 static uint32_t scrub_sums(zygos_arm_t *self)
 {
-    uint32_t found = 0;
-    if (!zygos_accumulator_scrub(&self->sums.energy, self->sums.column_map.parameters)) {
-        zygos_accumulator_init(&self->sums.energy, self->sums.column_map.parameters, self->sums.config.arc_cycles,
-                               self->sums.config.period_s);
-        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
-    }
-    if (!zygos_motor_sums_scrub(&self->sums.motors, &self->sums.config)) {
-        zygos_motor_sums_clear(&self->sums.motors, &self->sums.config);
-        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
-    }
-    if (!zygos_momentum_sums_scrub(&self->sums.momentum, &self->sums.config)) {
-        zygos_momentum_sums_clear(&self->sums.momentum, &self->sums.config);
-        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
-    }
-    if (!zygos_joint_sums_scrub(&self->sums.joints, &self->sums.config, &self->sums.column_map)) {
-        zygos_joint_sums_clear(&self->sums.joints);
-        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
-    }
+    const uint32_t found = (zygos_sums_scrub(&self->sums) > 0) ? (uint32_t)ZYGOS_SCRUBBED_SUMS : 0u;
     return found | ((zygos_arm_count_quarantined(self) > 0) ? (uint32_t)ZYGOS_SCRUBBED_BLOCKS : 0u);
 }
 
@@ -1135,9 +952,9 @@ static uint32_t scrub_sums(zygos_arm_t *self)
 static void drop_unverified(zygos_arm_t *self)
 {
     const uint64_t trusted = self->scrubbed;
-    zygos_accumulator_drop_after(&self->sums.energy, trusted);
-    zygos_motor_sums_drop_after(&self->sums.motors, trusted);
-    zygos_momentum_sums_drop_after(&self->sums.momentum, trusted);
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        zygos_sums_drop_after(&self->sums, kind, trusted);
+    }
     if (self->sums.joints.end > trusted) { /* segments cannot be taken out of a group */
         zygos_joint_sums_clear(&self->sums.joints);
     }
@@ -1180,21 +997,15 @@ int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
         self->moving = unmoved ? moving_of(self) : self->moving;
     }
     const uint32_t rebuilt = found;
-    if ((self->sums.energy.twin == zygos_accumulator_twin(&self->sums.energy)) &&
-        zygos_accumulator_intact(&self->sums.energy, self->sums.column_map.parameters)) {
-        zygos_guard_settle_energy(&self->sums.guard, &self->sums.config, &self->sums.energy);
-    }
-    if (zygos_motor_sums_intact(&self->sums.motors, &self->sums.config)) {
-        zygos_guard_settle_motors(&self->sums.guard, &self->sums.config, &self->sums.column_map, &self->sums.motors);
-    }
-    if (zygos_momentum_sums_intact(&self->sums.momentum, &self->sums.config)) {
-        zygos_guard_settle_momentum(&self->sums.guard, &self->sums.config, &self->sums.column_map,
-                                    &self->sums.momentum);
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        if (zygos_sums_is_intact(&self->sums, kind, &self->sums.column_map)) {
+            zygos_guard_settle(&self->sums, kind);
+        }
     }
     const bool steady = is_steady(self);
     found |= steady ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
     if (steady && (self->sums.ending != 0)) {
-        settle(self);
+        zygos_sums_settle(&self->sums);
     }
     found |= scrub_sums(self);
     self->moving = unmoved ? moving_of(self) : self->moving;
@@ -1237,30 +1048,25 @@ int zygos_arm_restart(zygos_arm_t *self, uint32_t keep)
     self->scrubbed = self->sums.cycle;
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
-    const bool kept = joints && zygos_motor_sums_intact(&self->sums.motors, &self->sums.config);
-    if (kept) {
-        settle_motors(self); /* the other sums, which may be corrupt, are cleared */
-        end_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS);
-        settle_motors(self);
-        end_joint_arc(self, self->sums.cycle);
-        settle_motors(self);
-    }
-    drop_all_waiting(self);
-    if (!kept) {
-        zygos_motor_sums_clear(&self->sums.motors, &self->sums.config);
-        self->sums.forgetting[ZYGOS_MOTOR_ROWS] = 1.0;
+    const uint32_t motors = (uint32_t)ZYGOS_MOTOR_ROWS;
+    const bool kept = joints && zygos_sums_is_intact(&self->sums, motors, &self->sums.column_map);
+    if (kept) { /* the other sums, which may be corrupt, are cleared */
+        zygos_guard_settle(&self->sums, motors);
+        zygos_sums_end_waiting(&self->sums, motors);
+        zygos_guard_settle(&self->sums, motors);
+        zygos_sums_end_arc(&self->sums, motors, self->sums.cycle);
+        zygos_guard_settle(&self->sums, motors);
     }
     zygos_momentum_reset(&self->momentum);
-    zygos_momentum_sums_clear(&self->sums.momentum, &self->sums.config);
-    self->sums.forgetting[ZYGOS_MOMENTUM_ROWS] = 1.0;
     zygos_joint_reset(&self->joint, &self->sums.config);
-    zygos_joint_sums_clear(&self->sums.joints);
-    self->sums.forgetting[ZYGOS_JOINT_KIND] = 1.0;
-    self->sums.forgetting[ZYGOS_ENERGY_ROWS] = 1.0;
-    zygos_accumulator_init(&self->sums.energy, self->sums.column_map.parameters, self->sums.config.arc_cycles,
-                           self->sums.config.period_s);
+    for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
+        if (!kept || (kind != motors)) {
+            zygos_sums_clear(&self->sums, kind);
+        }
+    }
     zygos_guard_clear(&self->sums.guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->sums.cycle);
     self->sums.arc = 0;
+    self->sums.ending = 0;
     self->instant = 0;
     self->held = 0;
     self->beside = 0;

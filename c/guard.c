@@ -1,6 +1,7 @@
 #include "zygos/priv/guard.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/sums.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -11,6 +12,9 @@
 #define SIGMAS 6.0
 /* Divisor of the mean square of a random walk about its own mean, as in the solver. */
 #define WALK 10.0
+/* Parts of tasks with which those of an arc have ended, whatever memory says. */
+#define MOST_PARTS                                                                                                     \
+    (8u * ZYGOS_PASS_CYCLES * (uint32_t)(ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES))
 /* An arc counts as agreeing when a residual of this share of its spread would have contradicted. */
 #define INFORMATIVE 0.1
 
@@ -279,7 +283,7 @@ static void judge_arc(zygos_guard_t *self, const zygos_config_t *config, zygos_a
     zygos_accumulator_judged_arc(sums, !contradicts);
 }
 
-void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
+static void proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
 {
     if (sums->task != (uint32_t)ZYGOS_TASK_JUDGE) {
         zygos_accumulator_proceed(sums);
@@ -307,23 +311,6 @@ void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *confi
     } else if (end >= sums->width) {
         judge_arc(self, config, sums);
     }
-}
-
-void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
-{
-    const uint32_t most = 8u * ZYGOS_PASS_CYCLES * (uint32_t)ZYGOS_MAX_BLOCKS;
-    zygos_accumulator_share_out(sums);
-    for (uint32_t tries = 0; (tries < most) && zygos_accumulator_busy(sums); tries++) {
-        zygos_guard_proceed_energy(self, config, sums);
-    }
-}
-
-void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
-                            uint64_t cycle, uint32_t cycles)
-{
-    zygos_guard_settle_energy(self, config, sums);
-    (void)zygos_accumulator_close(sums, cycle, cycles);
-    zygos_guard_settle_energy(self, config, sums);
 }
 
 /* Places of the columns of the motor rows of a joint. Returns their number. */
@@ -374,8 +361,8 @@ static void judge_joint(zygos_guard_t *self, const zygos_config_t *config, const
     self->motor_worst = (limit > 0.0) ? larger(self->motor_worst, found.residual / limit) : self->motor_worst;
 }
 
-bool zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                                zygos_motor_sums_t *sums)
+static bool proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                           zygos_motor_sums_t *sums)
 {
     if (sums->task != (uint32_t)ZYGOS_MOTOR_JUDGE) {
         const bool busy = (sums->task != (uint32_t)ZYGOS_MOTOR_NONE);
@@ -404,23 +391,6 @@ bool zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *confi
           sums->closing.total, there, sums->closing.end, sums->closing_cycles);
     zygos_motor_sums_judged(sums, !(self->motor_worst > 1.0));
     return true;
-}
-
-void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                               zygos_motor_sums_t *sums)
-{
-    const uint32_t most = 4u * (uint32_t)ZYGOS_MAX_JOINTS + 2u * (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS;
-    for (uint32_t tries = 0; (tries < most) && (sums->task != (uint32_t)ZYGOS_MOTOR_NONE); tries++) {
-        (void)zygos_guard_proceed_motors(self, config, column_map, sums);
-    }
-}
-
-void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                            zygos_motor_sums_t *sums, uint64_t cycle)
-{
-    zygos_guard_settle_motors(self, config, column_map, sums);
-    (void)zygos_motor_sums_close(sums, cycle);
-    zygos_guard_settle_motors(self, config, column_map, sums);
 }
 
 /* As many columns as there is room for, whatever memory says. */
@@ -486,8 +456,8 @@ static void judge_momentum(zygos_guard_t *self, const zygos_config_t *config, zy
     zygos_momentum_sums_judged(sums, !contradicts);
 }
 
-bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,
-                                  const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums)
+static bool proceed_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                             zygos_momentum_sums_t *sums)
 {
     if (sums->task != (uint32_t)ZYGOS_MOMENTUM_JUDGE) {
         const bool busy = (sums->task != (uint32_t)ZYGOS_MOMENTUM_NONE);
@@ -517,26 +487,36 @@ bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *con
     return true;
 }
 
-void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *config,
-                                 const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums)
+bool zygos_guard_proceed(zygos_sums_t *sums, uint32_t kind)
 {
-    const uint32_t most = 8u * ZYGOS_MOMENTUM_PASS_CYCLES + 2u * (uint32_t)ZYGOS_MOMENTUM_PLACES;
-    for (uint32_t tries = 0; (tries < most) && (sums->task != (uint32_t)ZYGOS_MOMENTUM_NONE); tries++) {
-        (void)zygos_guard_proceed_momentum(self, config, column_map, sums);
+    switch (kind) {
+    case ZYGOS_ENERGY_ROWS:
+        proceed_energy(&sums->guard, &sums->config, &sums->energy);
+        return true;
+    case ZYGOS_MOTOR_ROWS:
+        return proceed_motors(&sums->guard, &sums->config, &sums->column_map, &sums->motors);
+    default:
+        return proceed_momentum(&sums->guard, &sums->config, &sums->column_map, &sums->momentum);
     }
 }
 
-void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                              zygos_momentum_sums_t *sums, uint64_t cycle)
+void zygos_guard_settle(zygos_sums_t *sums, uint32_t kind)
 {
-    zygos_guard_settle_momentum(self, config, column_map, sums);
-    (void)zygos_momentum_sums_close(sums, cycle);
-    zygos_guard_settle_momentum(self, config, column_map, sums);
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        zygos_accumulator_share_out(&sums->energy);
+    }
+    for (uint32_t tries = 0; (tries < MOST_PARTS) && zygos_sums_is_busy(sums, kind); tries++) {
+        (void)zygos_guard_proceed(sums, kind);
+    }
 }
 
-void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, zygos_joint_sums_t *sums, uint64_t cycle,
-                            double *forgetting)
+void zygos_guard_end_joints(zygos_sums_t *all)
 {
+    zygos_guard_t *self = &all->guard;
+    zygos_joint_sums_t *sums = &all->joints;
+    const zygos_config_t *config = &all->config;
+    double *forgetting = &all->forgetting[ZYGOS_JOINT_KIND];
+    const uint64_t cycle = all->cycle;
     const double rows = zygos_joint_sums_open_rows(sums, config);
     if (!(rows > 0.0)) {
         return;
@@ -567,15 +547,6 @@ void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, z
     } else {
         zygos_joint_sums_admit(sums, config, cycle, forgetting);
     }
-}
-
-void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_motor_sums_t *motors,
-                      zygos_momentum_sums_t *momentum, uint64_t cycle)
-{
-    self->left_out[ZYGOS_ENERGY_ROWS] += zygos_accumulator_drop_until(energy, cycle);
-    self->left_out[ZYGOS_MOTOR_ROWS] += zygos_motor_sums_drop_until(motors, cycle);
-    self->left_out[ZYGOS_MOMENTUM_ROWS] += zygos_momentum_sums_drop_until(momentum, cycle);
-    self->dropped = cycle;
 }
 
 static zygos_mean_squares_t mean_squares_of(const zygos_finding_t *found, double n)
@@ -627,12 +598,16 @@ static void activate(zygos_guard_t *self, uint32_t parameters)
 }
 
 /* Activates the running solution that was written (noise_ratio, cluster, energy.residual, solution, covariance). */
-static void begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                  const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
-                  const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints)
+static void begin(zygos_sums_t *sums)
 {
+    zygos_guard_t *self = &sums->guard;
+    const zygos_config_t *config = &sums->config;
+    const zygos_column_map_t *column_map = &sums->column_map;
+    const zygos_motor_sums_t *motors = &sums->motors;
+    const zygos_momentum_sums_t *momentum = &sums->momentum;
     double n = 0.0;
-    self->energy.spread = zygos_joint_sums_suffice(config) ? spread_of_joints(joints) : spread_of_energy(energy);
+    self->energy.spread =
+        zygos_joint_sums_suffice(config) ? spread_of_joints(&sums->joints) : spread_of_energy(&sums->energy);
     memset(self->motor, 0, sizeof self->motor);
     for (uint32_t i = 0; i < config->joints; i++) {
         zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
@@ -674,11 +649,10 @@ static bool is_within(double x, double low, double high)
     return (x >= low) && (x <= high);
 }
 
-bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       zygos_accumulator_t *energy, zygos_motor_sums_t *motors, zygos_momentum_sums_t *momentum,
-                       const zygos_joint_sums_t *joints, const zygos_estimate_t *estimate)
+bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
 {
-    const uint32_t p = column_map->parameters;
+    zygos_guard_t *self = &sums->guard;
+    const uint32_t p = sums->column_map.parameters;
     const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
                               (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (self->known == 0);
     bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && (estimate->parameters == p) &&
@@ -692,7 +666,10 @@ bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const 
         return false;
     }
     if (estimate->since > 0) {
-        zygos_guard_drop(self, energy, motors, momentum, estimate->since);
+        for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+            self->left_out[kind] += zygos_sums_drop_until(sums, kind, estimate->since);
+        }
+        self->dropped = estimate->since;
     }
     const double ratio = estimate->noise_ratio;
     self->noise_ratio = is_within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
@@ -704,7 +681,7 @@ bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const 
             self->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
         }
     }
-    begin(self, config, column_map, energy, motors, momentum, joints);
+    begin(sums);
     return true;
 }
 

@@ -505,7 +505,7 @@ static void cut(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *
     if (self->kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) {
         cut_ending(sums, out, self->kind);
     }
-    if (self->kind < ZYGOS_KINDS_THAT_FADE) {
+    if (self->kind < ZYGOS_KINDS_OF_SUMS) {
         out->forgetting[self->kind] = sums->forgetting[self->kind];
     }
     self->cut = 1;

@@ -8,9 +8,7 @@ int zygos_arm_solve_ended(zygos_arm_t *self, zygos_solver_t *solver, zygos_estim
     if (!zygos_arm_is_whole(self) || !zygos_sums_match(&self->sums)) {
         return zygos_solver_refuse(out);
     }
-    zygos_accumulator_apply_fade(&self->sums.energy);
-    zygos_motor_sums_apply_fade(&self->sums.motors);
-    zygos_momentum_sums_apply_fade(&self->sums.momentum);
+    zygos_sums_apply_fade(&self->sums);
     return zygos_solver_solve(solver, out);
 }
 

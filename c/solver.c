@@ -2042,7 +2042,7 @@ int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out)
     if ((work == NULL) || (out == NULL)) {
         return ZYGOS_E_NULL;
     }
-    return zygos_sums_intact(&work->sums) ? zygos_solver_solve(solver_of(work), out) : zygos_solver_refuse(out);
+    return zygos_sums_end_copy(&work->sums) ? zygos_solver_solve(solver_of(work), out) : zygos_solver_refuse(out);
 }
 
 /* Solves the chosen blocks by themselves. Returns false where they determine no solution. */
@@ -2201,9 +2201,9 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
     const bool guarded = (work->sums.guard.known != 0);
     const bool joints = (work->sums.config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->sums.config);
-    const bool settled = zygos_sums_settle(&work->sums);
+    const bool settled = zygos_sums_settle_copy(&work->sums);
     work->sums.guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
-    if (!settled || !zygos_sums_intact(&work->sums)) {
+    if (!settled || !zygos_sums_end_copy(&work->sums)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     zygos_solver_t *solver = solver_of(work);

@@ -379,8 +379,11 @@ static bool is_comparing(const zygos_arm_t *arm)
 /* Where sums are dropped, tasks would have to be finished at once. */
 static bool has_tasks(const zygos_arm_t *arm)
 {
-    return zygos_accumulator_busy(&arm->sums.energy) || (arm->sums.motors.task != ZYGOS_MOTOR_NONE) ||
-           (arm->sums.momentum.task != ZYGOS_MOMENTUM_NONE);
+    bool busy = false;
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        busy = busy || zygos_sums_is_busy(&arm->sums, kind);
+    }
+    return busy;
 }
 
 /* Judges what is refined by a new estimate. What cannot be judged is not published any more. */
@@ -829,9 +832,7 @@ static void solve_copy(zygos_background_t *background, const zygos_config_t *con
     (void)zygos_work_solve(work, estimate);
     doubt(background, config);
     background->adopted = 0;
-    if ((estimate->changed == 0) &&
-        zygos_guard_adopt(&work->sums.guard, config, &work->sums.column_map, &work->sums.energy, &work->sums.motors,
-                          &work->sums.momentum, &work->sums.joints, estimate)) {
+    if ((estimate->changed == 0) && zygos_guard_adopt(&work->sums, estimate)) {
         background->adopted = 1;
     }
     background->compares = (estimate->blocks >= ZYGOS_CHANGE_MIN_BLOCKS) ? 1u : 0u;

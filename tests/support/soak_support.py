@@ -65,8 +65,5 @@ def instants(flight: Flight) -> dict[str, list[float]]:
 
 def settle(flight: Flight) -> None:
     """Finish the tasks that go on beside the cycles."""
-    names = ("guard", "config", "column_map", "energy", "motors", "momentum")
-    guard, config, columns, energy, motors, momentum = (ffi.addressof(flight.native.sums, name) for name in names)
-    lib.zygos_guard_settle_energy(guard, config, energy)
-    lib.zygos_guard_settle_motors(guard, config, columns, motors)
-    lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
+    for kind in range(lib.ZYGOS_KINDS_OF_ROWS):
+        lib.zygos_guard_settle(ffi.addressof(flight.native, "sums"), kind)

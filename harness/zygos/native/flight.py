@@ -596,10 +596,8 @@ class Flight:
     def _closed(self) -> Any:
         """A copy of the sums whose arcs have ended, also one that waits for that."""
         lib.zygos_arm_take(self.native, self._work)
-        lib.zygos_sums_settle(ffi.addressof(self._work, "sums"))
-        sums, guard, config = (ffi.addressof(self._work.sums, name) for name in ("energy", "guard", "config"))
-        lib.zygos_guard_end_energy(guard, config, sums, self._work.sums.cycle, self._work.sums.arc)
-        return sums
+        lib.zygos_sums_end_copy(ffi.addressof(self._work, "sums"))
+        return ffi.addressof(self._work.sums, "energy")
 
     @property
     def left_out(self) -> tuple[int, tuple[LeftOut, ...]]:
