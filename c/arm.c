@@ -255,11 +255,11 @@ static uint64_t moving_of(const zygos_arm_t *self)
     counts = zygos_folded_count(counts, balance->torque_at);
     if (config->impulse_arc_cycles > 0) {
         counts = zygos_folded_count(zygos_folded_count(counts, impulse->instants), impulse->origin);
-        counts = zygos_folded_count(counts, self->sums.motors.cycles);
+        counts = zygos_folded_count(counts, self->sums.motors.store.cycles);
     }
     if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
         counts = zygos_folded_count(zygos_folded_count(counts, self->momentum.instants), self->momentum.origin);
-        counts = zygos_folded_count(counts, self->sums.momentum.cycles);
+        counts = zygos_folded_count(counts, self->sums.momentum.store.cycles);
     }
     uint64_t fold = FOLDED(counts, balance, zygos_balance_t, work, dissipation_rate);
     fold = FOLDED(fold, &self->previous, zygos_previous_cycle_t, reported, theta);
@@ -295,7 +295,7 @@ static bool is_steady(const zygos_arm_t *self)
     const zygos_accumulator_t *sums = &self->sums.energy;
     const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ zygos_accumulator_twin(sums));
     return (off == 0) && (self->moving == moving_of(self)) && zygos_accumulator_steady(sums) &&
-           zygos_momentum_sums_steady(&self->sums.momentum) && zygos_motor_sums_steady(&self->sums.motors) &&
+           zygos_store_steady(&self->sums.motors.store) && zygos_store_steady(&self->sums.momentum.store) &&
            (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
@@ -453,7 +453,7 @@ static uint32_t share_rows(zygos_arm_t *self)
 static void proceed_energy(zygos_arm_t *self)
 {
     if ((self->sums.config.arc_cycles > 0) && !is_held(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
-        (void)zygos_guard_proceed(&self->sums, (uint32_t)ZYGOS_ENERGY_ROWS);
+        zygos_guard_proceed(&self->sums, (uint32_t)ZYGOS_ENERGY_ROWS);
     }
 }
 
@@ -473,7 +473,7 @@ static void idle(zygos_arm_t *self)
             kind++;
         }
         if (kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) {
-            (void)zygos_guard_proceed(&self->sums, kind);
+            zygos_guard_proceed(&self->sums, kind);
         } else {
             proceed_energy(self);
         }
@@ -529,6 +529,16 @@ static bool yields(const zygos_arm_t *self, uint32_t kind)
     return energy || (momentum && (kind == (uint32_t)ZYGOS_MOTOR_ROWS));
 }
 
+/* Returns whether a task of these rows has proceeded. */
+static bool proceed_beside(zygos_arm_t *self, uint32_t kind)
+{
+    if (yields(self, kind) || !may_proceed(self, kind)) {
+        return false;
+    }
+    zygos_guard_proceed(&self->sums, kind);
+    return true;
+}
+
 /* The motor impulse rows of the newest instant, which have arcs of their own. busy: this cycle has done something that
    costs as much as the part of a task; one is enough. Returns the same. */
 static bool add_impulses(zygos_arm_t *self, bool busy)
@@ -546,14 +556,14 @@ static bool add_impulses(zygos_arm_t *self, bool busy)
     if (!waits) {
         zygos_motor_sums_add(&self->sums.motors, config, &self->impulse_rows, self->arm_state.accepted);
     }
-    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOTOR_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS) &&
-                    zygos_guard_proceed(&self->sums, (uint32_t)ZYGOS_MOTOR_ROWS));
+    busy = busy || proceed_beside(self, (uint32_t)ZYGOS_MOTOR_ROWS);
     if (waits) {
         go_without_row(self, (uint32_t)ZYGOS_MOTOR_ROWS);
         zygos_impulse_new_arc(&self->impulse);
-    } else if (self->sums.motors.cycles >= config->impulse_arc_cycles) {
+    } else if (self->sums.motors.store.cycles >= config->impulse_arc_cycles) {
         end_in_turn(self, (uint32_t)ZYGOS_MOTOR_ROWS);
         zygos_impulse_new_arc(&self->impulse);
+        busy = true; /* an arc was copied */
     }
     return busy;
 }
@@ -571,14 +581,14 @@ static bool add_momentum(zygos_arm_t *self, bool busy)
         zygos_momentum_sums_add(&self->sums.momentum, config, &self->momentum, &self->arm_state, &self->motion,
                                 self->arm_state.accepted);
     }
-    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) &&
-                    zygos_guard_proceed(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS));
+    busy = busy || proceed_beside(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
     if (waits) {
         go_without_row(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
         zygos_momentum_new_arc(&self->momentum);
-    } else if (self->sums.momentum.cycles >= config->momentum_arc_cycles) {
+    } else if (self->sums.momentum.store.cycles >= config->momentum_arc_cycles) {
         end_in_turn(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
         zygos_momentum_new_arc(&self->momentum);
+        busy = true; /* an arc was copied */
     }
     return busy;
 }
@@ -929,8 +939,8 @@ uint32_t zygos_arm_count_quarantined(zygos_arm_t *self)
 {
     const uint32_t dropped = zygos_sums_quarantined(&self->sums);
     self->sums.energy.quarantined = 0;
-    self->sums.motors.quarantined = 0;
-    self->sums.momentum.quarantined = 0;
+    self->sums.motors.store.quarantined = 0;
+    self->sums.momentum.store.quarantined = 0;
     self->sums.joints.quarantined = 0;
     self->quarantined += dropped;
     return dropped;

@@ -254,6 +254,12 @@ static uint32_t joints_of(const zygos_sums_t *sums)
     return least(sums->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
 }
 
+/* Of closed arcs, and behind them that of the closing arc. */
+static uint32_t blocks_of(const zygos_store_t *sums)
+{
+    return sums->count + ((sums->closing_cycles > 0) ? 1u : 0u);
+}
+
 static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t *to, uint32_t joints)
 {
     copy(piece(to->joint, from->joint, joints * WORDS(sizeof from->joint[0])));
@@ -264,23 +270,23 @@ static void cut_motors(const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_motor_sums_t *from = &sums->motors;
     zygos_motor_sums_t *to = &out->motors;
-    copy(SPAN(to, from, zygos_motor_sums_t, count, open));
+    copy(SPAN(&to->store, &from->store, zygos_store_t, count, scan));
     cut_motor_block(&from->open, &to->open, joints_of(sums));
 }
 
-/* The tables with the closing arc, then block by block. */
+/* The tables, then block by block, the closing arc last. */
 static bool motor_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_motor_sums_t *from = &sums->motors;
     zygos_motor_sums_t *to = &out->motors;
     const uint32_t joints = joints_of(sums);
     if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_motor_sums_t, column_map, count));
-        cut_motor_block(&from->closing, &to->closing, joints);
+        copy(SPAN(to, from, zygos_motor_sums_t, column_map, open));
+        to->store.scan = from->store.scan;
         return true;
     }
     const uint32_t b = self->unit - 1u;
-    if (b >= least(to->count, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
+    if (b >= least(blocks_of(&to->store), (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
         return false;
     }
     cut_motor_block(&from->block[b], &to->block[b], joints);
@@ -299,11 +305,12 @@ static void cut_momentum(const zygos_sums_t *sums, zygos_sums_t *out)
     const zygos_momentum_sums_t *from = &sums->momentum;
     zygos_momentum_sums_t *to = &out->momentum;
     const uint32_t width = momentum_width(from);
-    const uint32_t open = from->parity & 1u;
+    const uint32_t open = from->store.parity & 1u;
+    copy(SPAN(&to->store, &from->store, zygos_store_t, count, scan));
     copy(SPAN(to, from, zygos_momentum_sums_t, columns, deviation));
     COPY_SUMS(&from->noise_arc[open], &to->noise_arc[open], width);
-    COPY_SUMS(&from->arc.rows, &to->arc.rows, width);
-    copy(REST(&to->arc, &from->arc, zygos_momentum_block_t, instants));
+    COPY_SUMS(&from->open.rows, &to->open.rows, width);
+    to->open.head = from->open.head;
 }
 
 /* The tables with the noise of the closing arc, that of the closed ones, then block by block, the closing arc last. */
@@ -312,10 +319,10 @@ static bool momentum_unit(const zygos_handover_t *self, const zygos_sums_t *sums
     const zygos_momentum_sums_t *from = &sums->momentum;
     zygos_momentum_sums_t *to = &out->momentum;
     const uint32_t width = momentum_width(from);
-    const uint32_t closing = (to->parity & 1u) ^ 1u;
+    const uint32_t closing = (to->store.parity & 1u) ^ 1u;
     if (self->unit == 0) {
         copy(SPAN(to, from, zygos_momentum_sums_t, deviation, noise_arc));
-        to->scan = from->scan;
+        to->store.scan = from->store.scan;
         COPY_SUMS(&from->noise_arc[closing], &to->noise_arc[closing], width);
         return true;
     }
@@ -324,11 +331,11 @@ static bool momentum_unit(const zygos_handover_t *self, const zygos_sums_t *sums
         return true;
     }
     const uint32_t b = self->unit - 2u;
-    if ((from->columns == 0) || (b > least(to->count, (uint32_t)ZYGOS_MOMENTUM_PLACES - 1u))) {
+    if ((from->columns == 0) || (b >= least(blocks_of(&to->store), (uint32_t)ZYGOS_MOMENTUM_PLACES))) {
         return false;
     }
     COPY_SUMS(&from->block[b].rows, &to->block[b].rows, width);
-    copy(REST(&to->block[b], &from->block[b], zygos_momentum_block_t, instants));
+    to->block[b].head = from->block[b].head;
     return true;
 }
 
@@ -441,10 +448,11 @@ static bool suits(const zygos_sums_t *sums, uint32_t kind)
                has_time(sums->energy.count + 2u + ZYGOS_HANDOVER_QUARTERS, sums->arc, config->arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        return has_time(sums->motors.count + 1u, sums->motors.cycles, config->impulse_arc_cycles);
+        return has_time(blocks_of(&sums->motors.store) + 1u, sums->motors.store.cycles, config->impulse_arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        return has_time(sums->momentum.count + 3u, sums->momentum.cycles, config->momentum_arc_cycles);
+        return has_time(blocks_of(&sums->momentum.store) + 2u, sums->momentum.store.cycles,
+                        config->momentum_arc_cycles);
     }
     return (kind != ZYGOS_JOINT_KIND) || suits_joints(&sums->joints);
 }

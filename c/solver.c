@@ -1277,11 +1277,11 @@ static void choose_momenta(zygos_solver_t *work, uint64_t after, uint64_t until)
 {
     const zygos_momentum_sums_t *sums = &work->sums->momentum;
     work->momenta.first = 0;
-    while ((work->momenta.first < sums->count) && (sums->block[work->momenta.first].end <= after)) {
+    while ((work->momenta.first < sums->store.count) && (sums->block[work->momenta.first].head.end <= after)) {
         work->momenta.first++;
     }
     work->momenta.end = work->momenta.first;
-    while ((work->momenta.end < sums->count) && (sums->block[work->momenta.end].end <= until)) {
+    while ((work->momenta.end < sums->store.count) && (sums->block[work->momenta.end].head.end <= until)) {
         work->momenta.end++;
     }
 }
@@ -1297,11 +1297,12 @@ static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t en
     work->blocks.first = first;
     work->blocks.end = end;
     work->arcs.first = 0;
-    while ((work->arcs.first < joints->count) && (joints->block[work->arcs.first].end <= after)) {
+    while ((work->arcs.first < joints->store.count) && (joints->block[work->arcs.first].head.end <= after)) {
         work->arcs.first++;
     }
     work->arcs.end = work->arcs.first;
-    while ((work->arcs.end < joints->count) && ((end == sums->open) || (joints->block[work->arcs.end].end <= until))) {
+    while ((work->arcs.end < joints->store.count) &&
+           ((end == sums->open) || (joints->block[work->arcs.end].head.end <= until))) {
         work->arcs.end++;
     }
     choose_momenta(work, after, (end == sums->open) ? work->sums->cycle : until);
@@ -1404,9 +1405,9 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, z
     double weight = work->momentum_weight;
     double all = 0.0;
     double chosen = 0.0;
-    for (uint32_t b = 0; b < sums->count; b++) {
-        all += sums->block[b].instants;
-        chosen += ((b >= work->momenta.first) && (b < work->momenta.end)) ? sums->block[b].instants : 0.0;
+    for (uint32_t b = 0; b < sums->store.count; b++) {
+        all += sums->block[b].head.total;
+        chosen += ((b >= work->momenta.first) && (b < work->momenta.end)) ? sums->block[b].head.total : 0.0;
     }
     work->momentum_weight = 0.0;
     if (!(weight > 0.0)) {

@@ -7,6 +7,23 @@
 
 /* ---------------------------------------------------------------- one kind of rows */
 
+static bool is_energy(uint32_t kind)
+{
+    return kind == (uint32_t)ZYGOS_ENERGY_ROWS;
+}
+
+/* Of motor or momentum rows. */
+static const zygos_store_t *store_of(const zygos_sums_t *self, uint32_t kind)
+{
+    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors.store : &self->momentum.store;
+}
+
+/* The same, for who changes it. */
+static zygos_store_t *changed(zygos_sums_t *self, uint32_t kind)
+{
+    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors.store : &self->momentum.store;
+}
+
 void zygos_sums_drop_waiting(zygos_sums_t *self, uint32_t kind)
 {
     if (kind >= (uint32_t)ZYGOS_KINDS_OF_ROWS) {
@@ -21,17 +38,17 @@ void zygos_sums_drop_waiting(zygos_sums_t *self, uint32_t kind)
 
 void zygos_sums_clear(zygos_sums_t *self, uint32_t kind)
 {
-    zygos_sums_drop_waiting(self, kind);
     const zygos_config_t *config = &self->config;
+    zygos_sums_drop_waiting(self, kind);
     switch (kind) {
     case ZYGOS_ENERGY_ROWS:
         zygos_accumulator_init(&self->energy, self->column_map.parameters, config->arc_cycles, config->period_s);
         break;
     case ZYGOS_MOTOR_ROWS:
-        zygos_motor_sums_clear(&self->motors, config);
+        zygos_store_clear(&self->motors.store, kind, config->impulse_arc_cycles);
         break;
     case ZYGOS_MOMENTUM_ROWS:
-        zygos_momentum_sums_clear(&self->momentum, config);
+        zygos_store_clear(&self->momentum.store, kind, config->momentum_arc_cycles);
         break;
     default:
         zygos_joint_sums_clear(&self->joints);
@@ -56,71 +73,45 @@ bool zygos_sums_is_intact(const zygos_sums_t *self, uint32_t kind, const zygos_c
 
 bool zygos_sums_is_busy(const zygos_sums_t *self, uint32_t kind)
 {
-    switch (kind) {
-    case ZYGOS_ENERGY_ROWS:
-        return zygos_accumulator_busy(&self->energy);
-    case ZYGOS_MOTOR_ROWS:
-        return self->motors.task != ZYGOS_MOTOR_NONE;
-    default:
-        return self->momentum.task != ZYGOS_MOMENTUM_NONE;
-    }
+    return is_energy(kind) ? zygos_accumulator_busy(&self->energy) : (store_of(self, kind)->task != ZYGOS_STORE_NONE);
 }
 
 /* Whether no task changes the sums of closed arcs, and no arc waits for its admission. */
 static bool rests(const zygos_sums_t *self, uint32_t kind)
 {
-    return (kind == (uint32_t)ZYGOS_ENERGY_ROWS) ? zygos_accumulator_rests(&self->energy)
-                                                 : !zygos_sums_is_busy(self, kind);
+    return is_energy(kind) ? zygos_accumulator_rests(&self->energy) : !zygos_sums_is_busy(self, kind);
 }
 
 bool zygos_sums_can_close(const zygos_sums_t *self, uint32_t kind)
 {
-    return (kind == (uint32_t)ZYGOS_ENERGY_ROWS) ? !zygos_accumulator_closing(&self->energy) &&
-                                                       ((self->config.forgetting_factor >= 1.0) || rests(self, kind))
-                                                 : !zygos_sums_is_busy(self, kind);
+    const bool fading = (self->config.forgetting_factor < 1.0);
+    return is_energy(kind) ? !zygos_accumulator_closing(&self->energy) && (!fading || rests(self, kind))
+                           : !zygos_sums_is_busy(self, kind);
 }
 
 bool zygos_sums_is_short(const zygos_sums_t *self, uint32_t kind)
 {
-    switch (kind) {
-    case ZYGOS_ENERGY_ROWS:
-        return zygos_accumulator_is_short(&self->energy);
-    case ZYGOS_MOTOR_ROWS:
-        return zygos_motor_sums_is_short(&self->motors);
-    default:
-        return zygos_momentum_sums_is_short(&self->momentum);
-    }
+    return is_energy(kind) ? zygos_accumulator_is_short(&self->energy)
+                           : zygos_store_is_short(store_of(self, kind), kind);
 }
 
 /* Ends the open arc, without a task. */
 static void close_arc(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 {
-    switch (kind) {
-    case ZYGOS_ENERGY_ROWS:
+    if (is_energy(kind)) {
         (void)zygos_accumulator_close(&self->energy, cycle, self->arc);
         self->arc = 0;
-        break;
-    case ZYGOS_MOTOR_ROWS:
-        (void)zygos_motor_sums_close(&self->motors, cycle);
-        break;
-    default:
-        (void)zygos_momentum_sums_close(&self->momentum, cycle);
-        break;
+    } else {
+        zygos_store_close(changed(self, kind), kind, cycle);
     }
 }
 
 static void forget(zygos_sums_t *self, uint32_t kind, double factor)
 {
-    switch (kind) {
-    case ZYGOS_ENERGY_ROWS:
+    if (is_energy(kind)) {
         zygos_accumulator_forget(&self->energy, factor);
-        break;
-    case ZYGOS_MOTOR_ROWS:
-        zygos_motor_sums_forget(&self->motors, factor);
-        break;
-    default:
-        zygos_momentum_sums_forget(&self->momentum, factor);
-        break;
+    } else {
+        zygos_store_forget(changed(self, kind), kind, factor);
     }
 }
 
@@ -138,60 +129,42 @@ void zygos_sums_end_arc(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 
 void zygos_sums_drop_after(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 {
-    switch (kind) {
-    case ZYGOS_ENERGY_ROWS:
+    if (is_energy(kind)) {
         zygos_accumulator_drop_after(&self->energy, cycle);
-        break;
-    case ZYGOS_MOTOR_ROWS:
-        zygos_motor_sums_drop_after(&self->motors, cycle);
-        break;
-    case ZYGOS_MOMENTUM_ROWS:
-        zygos_momentum_sums_drop_after(&self->momentum, cycle);
-        break;
-    default:
+    } else if (kind == ZYGOS_JOINT_KIND) {
         zygos_joint_sums_drop_after(&self->joints, cycle);
-        break;
+    } else {
+        zygos_store_drop_after(changed(self, kind), kind, cycle);
     }
 }
 
 uint32_t zygos_sums_drop_until(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 {
-    switch (kind) {
-    case ZYGOS_ENERGY_ROWS:
-        return zygos_accumulator_drop_until(&self->energy, cycle);
-    case ZYGOS_MOTOR_ROWS:
-        return zygos_motor_sums_drop_until(&self->motors, cycle);
-    default:
-        return zygos_momentum_sums_drop_until(&self->momentum, cycle);
-    }
+    return is_energy(kind) ? zygos_accumulator_drop_until(&self->energy, cycle)
+                           : zygos_store_drop_until(changed(self, kind), kind, cycle);
 }
 
 static bool scrub(zygos_sums_t *self, uint32_t kind)
 {
-    switch (kind) {
-    case ZYGOS_ENERGY_ROWS:
-        return zygos_accumulator_scrub(&self->energy, self->column_map.parameters);
-    case ZYGOS_MOTOR_ROWS:
-        return zygos_motor_sums_scrub(&self->motors, &self->config);
-    case ZYGOS_MOMENTUM_ROWS:
-        return zygos_momentum_sums_scrub(&self->momentum, &self->config);
-    default:
-        return zygos_joint_sums_scrub(&self->joints, &self->config, &self->column_map);
+    if (((kind == (uint32_t)ZYGOS_MOTOR_ROWS) && (self->config.impulse_arc_cycles == 0)) ||
+        ((kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) && (self->config.momentum_arc_cycles == 0))) {
+        zygos_sums_clear(self, kind); /* rows that nobody adds must not stop those that are */
+        return true;
     }
+    if (is_energy(kind)) {
+        return zygos_accumulator_scrub(&self->energy, self->column_map.parameters);
+    }
+    return (kind == ZYGOS_JOINT_KIND) ? zygos_joint_sums_scrub(&self->joints, &self->config, &self->column_map)
+                                      : zygos_store_scrub(changed(self, kind), kind);
 }
 
 static double check(const zygos_sums_t *self, uint32_t kind)
 {
-    switch (kind) {
-    case ZYGOS_ENERGY_ROWS:
+    if (is_energy(kind)) {
         return zygos_accumulator_check(&self->energy);
-    case ZYGOS_MOTOR_ROWS:
-        return zygos_motor_sums_check(&self->motors, &self->config);
-    case ZYGOS_MOMENTUM_ROWS:
-        return zygos_momentum_sums_check(&self->momentum);
-    default:
-        return zygos_joint_sums_check(&self->joints);
     }
+    return (kind == ZYGOS_JOINT_KIND) ? zygos_joint_sums_check(&self->joints)
+                                      : zygos_store_check(store_of(self, kind), kind);
 }
 
 void zygos_sums_end_waiting(zygos_sums_t *self, uint32_t kind)
@@ -239,7 +212,8 @@ bool zygos_sums_are_intact(const zygos_sums_t *self)
 
 uint32_t zygos_sums_quarantined(const zygos_sums_t *self)
 {
-    return self->energy.quarantined + self->motors.quarantined + self->momentum.quarantined + self->joints.quarantined;
+    return self->energy.quarantined + self->motors.store.quarantined + self->momentum.store.quarantined +
+           self->joints.quarantined;
 }
 
 uint32_t zygos_sums_scrub(zygos_sums_t *self)
@@ -257,8 +231,8 @@ uint32_t zygos_sums_scrub(zygos_sums_t *self)
 void zygos_sums_apply_fade(zygos_sums_t *self)
 {
     zygos_accumulator_apply_fade(&self->energy);
-    zygos_motor_sums_apply_fade(&self->motors);
-    zygos_momentum_sums_apply_fade(&self->momentum);
+    zygos_store_apply_fade(&self->motors.store, (uint32_t)ZYGOS_MOTOR_ROWS);
+    zygos_store_apply_fade(&self->momentum.store, (uint32_t)ZYGOS_MOMENTUM_ROWS);
 }
 
 bool zygos_sums_match(const zygos_sums_t *self)
@@ -304,5 +278,5 @@ bool zygos_sums_end_copy(zygos_sums_t *self)
     }
     zygos_sums_apply_fade(self);
     return (zygos_sums_quarantined(self) == before) &&
-           ((self->energy.corrupt | self->motors.corrupt | self->momentum.corrupt) == 0);
+           ((self->energy.corrupt | self->motors.store.corrupt | self->momentum.store.corrupt) == 0);
 }

@@ -371,9 +371,10 @@ static bool decode(zygos_t *self, bool all)
 /* A comparison with the adopted estimate should not begin with one and end with another. */
 static bool is_comparing(const zygos_arm_t *arm)
 {
-    return zygos_accumulator_closing(&arm->sums.energy) || (arm->sums.motors.task == ZYGOS_MOTOR_CLOSE) ||
-           (arm->sums.motors.task == ZYGOS_MOTOR_JUDGE) || (arm->sums.momentum.task == ZYGOS_MOMENTUM_JUDGE) ||
-           (arm->sums.ending != 0);
+    const uint32_t motors = arm->sums.motors.store.task;
+    return zygos_accumulator_closing(&arm->sums.energy) ||
+           ((motors >= ZYGOS_STORE_VERIFY) && (motors <= ZYGOS_STORE_JUDGE)) ||
+           (arm->sums.momentum.store.task == ZYGOS_STORE_JUDGE) || (arm->sums.ending != 0);
 }
 
 /* Where sums are dropped, tasks would have to be finished at once. */

@@ -88,20 +88,18 @@ typedef struct {
 
 static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints, size_t momenta)
 {
-    static const region_t scalars[3] = { BETWEEN(zygos_accumulator_t, width, buffer),
-                                         BETWEEN(zygos_motor_sums_t, count, open),
+    static const region_t scalars[4] = { BETWEEN(zygos_accumulator_t, width, buffer),
+                                         BETWEEN(zygos_store_t, count, scan),
+                                         BETWEEN(zygos_motor_sums_t, column_map, noise),
                                          BETWEEN(zygos_momentum_sums_t, columns, noise_arc) };
     uint32_t n = 0;
     out[n++] = (region_t){ accumulator, scalars[0].size };
-    out[n++] = (region_t){ joints + scalars[1].offset, scalars[1].size };
-    out[n++] = (region_t){ momenta, scalars[2].size };
-    out[n++] = (region_t){ joints, sizeof(zygos_impulse_column_map_t) };
-    for (uint32_t s = 0; s < 2; s++) {
-        out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, arc) + s * sizeof(zygos_momentum_block_t) +
-                                   offsetof(zygos_momentum_block_t, instants),
-                               24 };
-    }
-    out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, closing.total), 24 };
+    out[n++] = (region_t){ joints, scalars[1].size };
+    out[n++] = (region_t){ momenta, scalars[1].size };
+    out[n++] = (region_t){ joints + scalars[2].offset, scalars[2].size };
+    out[n++] = (region_t){ momenta + scalars[3].offset, scalars[3].size };
+    out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, open.head), 24 };
+    out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, open.head), 24 };
     out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, order), ZYGOS_ORDER_PLACES };
     for (uint32_t s = 0; s < ZYGOS_ROW_BUFFERS; s++) {
         out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, buffer) + s * sizeof(zygos_row_buffer_t) +
@@ -115,12 +113,12 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
     }
     for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
         out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, block) + b * sizeof(zygos_motor_block_t) +
-                                   offsetof(zygos_motor_block_t, total),
+                                   offsetof(zygos_motor_block_t, head),
                                16 };
     }
     for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
         out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, block) + b * sizeof(zygos_momentum_block_t) +
-                                   offsetof(zygos_momentum_block_t, instants),
+                                   offsetof(zygos_momentum_block_t, head),
                                16 };
     }
     return n;
@@ -208,22 +206,30 @@ static void forge_energy(zygos_accumulator_t *sums)
     }
 }
 
+static void forge_store(zygos_store_t *store)
+{
+    const double numbers[2] = { store->target, store->noise_fade };
+    store->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, numbers, 2), store->count);
+    store->twin = zygos_store_twin(store);
+}
+
+static void forge_head(zygos_block_head_t *head, uint64_t checksum)
+{
+    const double numbers[2] = { head->total, head->fade };
+    head->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, numbers, 2), head->end);
+}
+
 static void forge(zygos_accumulator_t *sums, zygos_motor_sums_t *joints, zygos_momentum_sums_t *momenta)
 {
     forge_energy(sums);
-    joints->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, &joints->target, 1), joints->count);
+    forge_store(&joints->store);
     for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
         zygos_motor_block_t *block = &joints->block[b];
-        const double numbers[2] = { block->total, block->fade };
-        const uint64_t checksum = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
-        block->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, numbers, 2), block->end);
+        forge_head(&block->head, zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS));
     }
-    const double lengths[2] = { momenta->target, momenta->noise_fade };
-    momenta->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, lengths, 2), momenta->count);
+    forge_store(&momenta->store);
     for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
-        zygos_momentum_block_t *block = &momenta->block[b];
-        const double numbers[2] = { block->instants, block->fade };
-        block->checksum = zygos_checksum_number(zygos_checksum_doubles(1u, numbers, 2), block->end);
+        forge_head(&momenta->block[b].head, 1u);
     }
 }
 

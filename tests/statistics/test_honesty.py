@@ -117,7 +117,7 @@ def sums_of(flight: Flight) -> list[tuple[int, int]]:
     own, whole = ffi.sizeof("zygos_motor_gram_t"), ffi.sizeof("zygos_motor_block_t")
     places = [at + ffi.offsetof("zygos_motor_sums_t", "open")]
     first = at + ffi.offsetof("zygos_motor_sums_t", "block")
-    places += [first + b * whole for b in range(flight.native.sums.motors.count)]
+    places += [first + b * whole for b in range(flight.native.sums.motors.store.count)]
     return out + [(place + i * own, 8 * 15) for place in places for i in range(arm.n)]
 
 
@@ -168,5 +168,5 @@ def test_a_long_arc_is_not_corrupt() -> None:
     sync, flags = np.arange(n, dtype=np.uint64), np.zeros(n, dtype=np.uint32)
     flight = Flight(arm)
     flight.cycles(Cycles(sync, noise.link[0], noise.motor[0], zero, noise.gyro[0], flags))
-    assert flight.native.sums.momentum.cycles > 120_000
+    assert flight.native.sums.momentum.store.cycles > 120_000
     assert flight.estimate().reason != CORRUPT

@@ -58,8 +58,8 @@ def instants(flight: Flight) -> dict[str, list[float]]:
     energy, motors, momentum = flight.native.sums.energy, flight.native.sums.motors, flight.native.sums.momentum
     return {
         "energy": [energy.block[place].fade * energy.block[place].instants for place in energy.order[0 : energy.open]],
-        "motors": [motors.block[b].fade * motors.block[b].total for b in range(motors.count)],
-        "momentum": [momentum.block[b].fade * momentum.block[b].instants for b in range(momentum.count)],
+        "motors": [block.head.fade * block.head.total for block in motors.block[0 : motors.store.count]],
+        "momentum": [block.head.fade * block.head.total for block in momentum.block[0 : momentum.store.count]],
     }
 
 

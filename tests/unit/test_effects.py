@@ -546,8 +546,8 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
         work.sums.config.effect[e].kind = (cannot if positive >> e & 1 else can)[e // 2]
         work.sums.config.effect[e].joint = e % 2
     lib.zygos_impulse_column_map(ffi.addressof(work, "sums", "config"), ffi.addressof(work.sums.motors, "column_map"))
-    lib.zygos_motor_sums_clear(ffi.addressof(work, "sums", "motors"), ffi.addressof(work, "sums", "config"))
-    lib.zygos_momentum_sums_clear(ffi.addressof(work, "sums", "momentum"), ffi.addressof(work, "sums", "config"))
+    for kind in (lib.ZYGOS_MOTOR_ROWS, lib.ZYGOS_MOMENTUM_ROWS):
+        lib.zygos_sums_clear(ffi.addressof(work, "sums"), kind)
     for column, done in zip(columns, work_done, strict=True):
         row.column[0:count] = column.tolist()
         row.work = float(done)

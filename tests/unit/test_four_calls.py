@@ -414,7 +414,7 @@ def test_places_of_the_ring_and_stages_that_cannot_be_do_no_harm(begun: tuple[Lo
 
 @pytest.mark.parametrize(
     ("path", "in_place"),
-    [("copied", False), ("state.sums.momentum.arc.instants", True), ("state.sums.motors.instants", True)],
+    [("copied", False), ("state.sums.momentum.open.head.total", True), ("state.sums.motors.open.head.total", True)],
 )
 @pytest.mark.parametrize("bit", [7, 12, 30])
 def test_a_flipped_bit_does_not_end_the_estimates_in_silence(path: str, in_place: bool, bit: int) -> None:

@@ -427,7 +427,7 @@ def test_a_restart_makes_an_impossible_queue_possible(keep: int) -> None:
     for name, members in (("queue", ("tail", "head")), ("motors", ("count", "place"))):
         for member in members:
             flight = copy_of(begin.flight)
-            place = flight.native.receiver.queue if name == "queue" else flight.native.sums.motors
+            place = flight.native.receiver.queue if name == "queue" else flight.native.sums.motors.store
             setattr(place, member, 2**31 + 5)
             assert lib.zygos_arm_restart(flight.native, keep) == 1
             assert begin.feed(flight, 4, 8) >= 0 and flight.native.cycles > begin.flight.native.cycles, member

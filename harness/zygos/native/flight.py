@@ -583,9 +583,9 @@ class Flight:
                     (_symmetric(block.joint[i].gram, joints.column_map.count[i] + 1), block.instants[i])
                     for i in range(self.arm.n)
                 ]
-                for block in joints.block[0 : joints.count]
+                for block in joints.block[0 : joints.store.count]
             ],
-            momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.count]],
+            momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.store.count]],
             joints=[
                 (group.fade * _symmetric(group.rows.gram, width), group.fade * group.count)
                 for group in list(self._work.sums.joints.group)[:-1]  # the last one is not of the estimate

@@ -55,27 +55,27 @@ typedef struct {
     uint32_t held;   ///< Kinds of rows, as bits, whose tasks wait, because their sums are being copied (handover.h).
     uint32_t beside; ///< 1: something else is done beside the next cycle, so that no task proceeds in it.
     double accepted; ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
+    zygos_previous_cycle_t previous;
+    zygos_balance_t balance;
+    zygos_impulse_t impulse;
+    zygos_momentum_t momentum;
     zygos_sums_t sums;
+    zygos_joint_t joint;
+    zygos_smoother_t smoother;
     zygos_geometry_t geometry;
     zygos_receiver_t receiver;
-    zygos_previous_cycle_t previous;
-    zygos_smoother_t smoother;
     zygos_noise_t noise;
     zygos_arm_state_t arm_state;
     zygos_motion_t motion;
-    zygos_balance_t balance;
     zygos_row_t row;
-    zygos_impulse_t impulse;
     zygos_impulse_rows_t impulse_rows;
-    zygos_momentum_t momentum;
-    zygos_joint_t joint;
     zygos_joint_row_t joint_row;
 } zygos_arm_t;
 
 /// Digest of the offsets and types in the structs that library and caller exchange, at the default capacities on a
 /// processor of 64 bits. It changes when a field is moved or given another type, and not when it is renamed. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xC6194E7Cu
+#define ZYGOS_LAYOUT 0x06E2A702u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 

@@ -103,7 +103,8 @@ void zygos_sums_end_segment(zygos_sums_t *self);
 uint32_t zygos_sums_quarantined(const zygos_sums_t *self);
 
 /// Drops each block, and the open arc, whose sums do not match; repairs a flipped bit of what tells which blocks there
-/// are. Clears the sums of a kind where that cannot be repaired, and returns of how many. Needs the tables. Cost: one
+/// are. Clears the sums of a kind where that cannot be repaired, and returns of how many; also
+/// those of rows that the configuration does not have. Needs the tables. Cost: one
 /// pass over the sums.
 uint32_t zygos_sums_scrub(zygos_sums_t *self);
 
@@ -137,7 +138,7 @@ bool zygos_guard_adopt(zygos_sums_t *self, const zygos_estimate_t *estimate);
 /// it is its turn. An arc that contradicts the running solution is left out. Returns whether there was a task; of
 /// energy rows also, where one may have begun. Cost: a part of a pass over a block; for the first block, also one over
 /// the running solution.
-bool zygos_guard_proceed(zygos_sums_t *self, uint32_t kind);
+void zygos_guard_proceed(zygos_sums_t *self, uint32_t kind);
 
 /// Finishes the tasks of the sums of a kind of rows. Cost: a few passes over the sums of an arc.
 void zygos_guard_settle(zygos_sums_t *self, uint32_t kind);
