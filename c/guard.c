@@ -275,7 +275,7 @@ static void judge_arc(zygos_guard_t *self, const zygos_config_t *config, zygos_a
     bool informative = false;
     const bool contradicts = energy_contradicts(self, config, sums, &informative);
     double there = 0.0;
-    for (uint32_t r = 0; r < sums->open; r++) {
+    for (uint32_t r = 0; r < sums->closed; r++) {
         there += zygos_accumulator_instants(sums, r);
     }
     count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, informative, (double)sums->closing_instants, there,
@@ -290,7 +290,7 @@ static void proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zy
         return;
     }
     const bool block = (sums->rank < sums->fresh);
-    if ((sums->rank == sums->open) && (sums->row == 0)) {
+    if ((sums->rank == sums->closed) && (sums->row == 0)) {
         begin_comparison(self, config, sums);
     }
     self->walk = (sums->row == 0) ? 0.0 : self->walk;
@@ -564,7 +564,7 @@ static double spread_of_energy(const zygos_accumulator_t *sums)
 {
     double spread = 0.0;
     double n = 0.0;
-    for (uint32_t r = 0; r < sums->open; r++) {
+    for (uint32_t r = 0; r < sums->closed; r++) {
         const zygos_block_t *block = zygos_accumulator_at(sums, r);
         const double instants = zygos_accumulator_instants(sums, r);
         spread += (block->instants > 0.0)

@@ -551,7 +551,7 @@ static bool is_disturbed_energy(const zygos_handover_t *self, const zygos_accumu
 {
     const bool may_end = has_open_blocks(self, to);
     const uint32_t needed = may_end ? to->fresh : to->count;
-    bool disturbed = (from->open != to->open) || (!may_end && (from->fresh != to->fresh)) || (from->count < needed);
+    bool disturbed = (from->closed != to->closed) || (!may_end && (from->fresh != to->fresh)) || (from->count < needed);
     for (uint32_t r = 0; (r < needed) && (r < (uint32_t)ZYGOS_MAX_BLOCKS); r++) {
         disturbed = disturbed || (from->order[r] != to->order[r]);
     }

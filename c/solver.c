@@ -1302,16 +1302,16 @@ static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t en
     }
     work->arcs.end = work->arcs.first;
     while ((work->arcs.end < joints->store.count) &&
-           ((end == sums->open) || (joints->block[work->arcs.end].head.end <= until))) {
+           ((end == sums->closed) || (joints->block[work->arcs.end].head.end <= until))) {
         work->arcs.end++;
     }
-    choose_momenta(work, after, (end == sums->open) ? work->sums->cycle : until);
+    choose_momenta(work, after, (end == sums->closed) ? work->sums->cycle : until);
     memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
     work->instants = 0.0;
     work->joints_alone = 0;
     work->joints_weight = 0.0;
-    work->joints_used = ((first == 0) && (end == sums->open)) ? 1u : 0u;
-    for (uint32_t b = 0; b < sums->open; b++) {
+    work->joints_used = ((first == 0) && (end == sums->closed)) ? 1u : 0u;
+    for (uint32_t b = 0; b < sums->closed; b++) {
         all += zygos_accumulator_at(sums, b)->instants;
         for (uint32_t k = 0; (k < at(p + 2u, 0)) && (b >= first) && (b < end); k++) {
             work->total[k] += zygos_accumulator_at(sums, b)->gram[k];
@@ -1721,7 +1721,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     out->parameters = p;
     out->accepted = sums->accepted - (uint64_t)(before + 0.5);
     out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->sums->guard.left_out[ZYGOS_ENERGY_ROWS]);
-    out->blocks = sums->open - first;
+    out->blocks = sums->closed - first;
     if (zygos_joint_sums_suffice(&work->sums->config)) {
         out->accepted = work->sums->joints.accepted;
         out->refused = work->sums->joints.refused;
@@ -1734,7 +1734,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     if (joints) {
         choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     } else {
-        choose_anew(work, p, first, sums->open);
+        choose_anew(work, p, first, sums->closed);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
     if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
@@ -1864,7 +1864,7 @@ static bool may_hold_bad_arcs(const zygos_estimate_t *out)
 static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
 {
     uint32_t b = from;
-    while ((b > 0) && (b < sums->open) &&
+    while ((b > 0) && (b < sums->closed) &&
            (zygos_accumulator_at(sums, b)->end == zygos_accumulator_at(sums, b - 1u)->end)) {
         b++;
     }
@@ -1878,14 +1878,14 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     double before = 0.0;
     double behind = 0.0;
     uint32_t arcs = 0;
-    for (uint32_t b = 0; b < sums->open; b++) {
+    for (uint32_t b = 0; b < sums->closed; b++) {
         const bool last_of_arc =
-            (b + 1u == sums->open) || (zygos_accumulator_at(sums, b + 1u)->end != zygos_accumulator_at(sums, b)->end);
+            (b + 1u == sums->closed) || (zygos_accumulator_at(sums, b + 1u)->end != zygos_accumulator_at(sums, b)->end);
         before += (b < first) ? zygos_accumulator_at(sums, b)->instants : 0.0;
         behind += (b < first) ? 0.0 : zygos_accumulator_at(sums, b)->instants;
         arcs += ((b >= first) && last_of_arc) ? 1u : 0u;
     }
-    return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
+    return (first + ZYGOS_MIN_BLOCKS <= sums->closed) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
 /* Vectors of the solver, and those of an estimate that is put aside, beside which one has its flags. */
@@ -2001,7 +2001,7 @@ static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
     bool better = false;
     put_aside(work, out, &head, false);
     for (uint32_t quarter = 1; !better && (quarter <= 2u); quarter++) {
-        const uint32_t next = next_arc(sums, quarter * sums->open / 4u);
+        const uint32_t next = next_arc(sums, quarter * sums->closed / 4u);
         if ((next > first) && several_behind(sums, next)) {
             first = next;
             answer = solve_from(work, out, first, &all);
@@ -2160,7 +2160,7 @@ static int detect_in_energy(zygos_solver_t *work, uint32_t p, bool guarded, zygo
 {
     const zygos_accumulator_t *sums = &work->sums->energy;
     out->blocks = sums->newest;
-    if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->open)) {
+    if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->closed)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     out->cycle = zygos_accumulator_at(sums, sums->newest - 1u)->end;
@@ -2171,7 +2171,7 @@ static int detect_in_energy(zygos_solver_t *work, uint32_t p, bool guarded, zygo
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
     const reference_t reference = reference_of(work, p);
-    choose(work, p, sums->newest, sums->open);
+    choose(work, p, sums->newest, sums->closed);
     const double known[4] = { out->signal_to_noise, out->cluster, out->residual, out->noise_ratio };
     const bool solved = solve_chosen(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &reference));
     if (solved && !closes(work, p, out)) {

@@ -187,9 +187,9 @@ static void forge_energy(zygos_accumulator_t *sums)
 {
     enum { MEMBERS = 11, PLACES = ZYGOS_ORDER_PLACES / 8 };
     const uint32_t width = (sums->width < (uint32_t)ZYGOS_MAX_ROW) ? sums->width : (uint32_t)ZYGOS_MAX_ROW;
-    uint64_t word[MEMBERS + PLACES] = { 0,           0,           sums->width,  sums->count,
-                                        sums->open,  sums->fresh, sums->newest, sums->window,
-                                        sums->ready, sums->arcs };
+    uint64_t word[MEMBERS + PLACES] = {
+        0, 0, sums->width, sums->count, sums->closed, sums->fresh, sums->newest, sums->window, sums->ready, sums->arcs
+    };
     memcpy(&word[0], &sums->enough, sizeof word[0]);
     memcpy(&word[1], &sums->target, sizeof word[0]);
     memcpy(&word[10], &sums->noise_fade, sizeof word[0]);

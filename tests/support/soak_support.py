@@ -57,7 +57,9 @@ def instants(flight: Flight) -> dict[str, list[float]]:
     """Of the blocks of closed arcs."""
     energy, motors, momentum = flight.native.sums.energy, flight.native.sums.motors, flight.native.sums.momentum
     return {
-        "energy": [energy.block[place].fade * energy.block[place].instants for place in energy.order[0 : energy.open]],
+        "energy": [
+            energy.block[place].fade * energy.block[place].instants for place in energy.order[0 : energy.closed]
+        ],
         "motors": [block.head.fade * block.head.total for block in motors.block[0 : motors.store.count]],
         "momentum": [block.head.fade * block.head.total for block in momentum.block[0 : momentum.store.count]],
     }

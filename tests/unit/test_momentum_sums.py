@@ -396,7 +396,7 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     found, work = flight.estimate(), flight._work
     p, sums = len(found.names), work.sums.momentum
     places = [k for k, name in enumerate(found.names) if name.startswith(("N", "Im"))]
-    blocks = [work.sums.energy.block[place] for place in work.sums.energy.order[0 : work.sums.energy.open]]
+    blocks = [work.sums.energy.block[place] for place in work.sums.energy.order[0 : work.sums.energy.closed]]
     parts = [symmetric(block.gram, p + 2)[: p + 1, : p + 1] for block in blocks]
     factors = [sum(block.instants for block in blocks) / sum(block.square for block in blocks)] * len(parts)
     for b in range(sums.store.count):

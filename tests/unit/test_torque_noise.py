@@ -117,7 +117,7 @@ def test_an_arc_that_is_dropped_leaves_no_variance_to_the_next() -> None:
     accumulate(sums, rng, 300, 1.0)
     lib.zygos_accumulator_end_arc(sums, 505)
     assert sums.arcs == 2
-    assert sum(sums.block[place].variance[0] for place in sums.order[0 : sums.open]) == pytest.approx(500.0)
+    assert sum(sums.block[place].variance[0] for place in sums.order[0 : sums.closed]) == pytest.approx(500.0)
 
 
 def test_the_variance_of_what_is_forgotten_fades_with_it(arm: Arm, motion: Cycles) -> None:
@@ -128,7 +128,7 @@ def test_the_variance_of_what_is_forgotten_fades_with_it(arm: Arm, motion: Cycle
     def rates() -> list[float]:
         settle(flight)
         sums = flight.native.sums.energy
-        closed = [sums.block[place] for place in sums.order[0 : sums.open]]
+        closed = [sums.block[place] for place in sums.order[0 : sums.closed]]
         return [block.variance[0] / block.instants for block in closed]
 
     fly(flight, motion, 1, rng)

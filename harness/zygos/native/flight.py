@@ -576,7 +576,7 @@ class Flight:
                     block.square,
                     block.variance[0],
                 )
-                for block in (sums.block[place] for place in sums.order[0 : sums.open])
+                for block in (sums.block[place] for place in sums.order[0 : sums.closed])
             ],
             motors=[
                 [
