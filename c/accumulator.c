@@ -41,7 +41,7 @@ static void gather(const zygos_accumulator_t *self, uint64_t *word)
     __builtin_memcpy(&word[1], &self->target, sizeof word[1]);
     word[2] = self->width;
     word[3] = self->count;
-    word[4] = self->open;
+    word[4] = self->closed;
     word[5] = self->fresh;
     word[6] = self->newest;
     word[7] = self->window;
@@ -78,7 +78,7 @@ static bool repair(zygos_accumulator_t *self)
     memcpy(&self->target, &word[1], sizeof word[1]);
     self->width = (uint32_t)word[2];
     self->count = (uint32_t)word[3];
-    self->open = (uint32_t)word[4];
+    self->closed = (uint32_t)word[4];
     self->fresh = (uint32_t)word[5];
     self->newest = (uint32_t)word[6];
     self->window = (uint32_t)word[7];
@@ -94,9 +94,9 @@ static bool repair(zygos_accumulator_t *self)
 static bool are_places_possible(const zygos_accumulator_t *self)
 {
     bool good = (self->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (self->fresh <= self->count) &&
-                (self->open <= self->fresh) && (self->count != self->fresh + 1u) && (self->fresh != self->open + 1u) &&
-                (self->window <= self->open) && (self->newest <= self->window) &&
-                (self->ready <= (uint32_t)ZYGOS_MAX_BLOCKS - self->count);
+                (self->closed <= self->fresh) && (self->count != self->fresh + 1u) &&
+                (self->fresh != self->closed + 1u) && (self->window <= self->closed) &&
+                (self->newest <= self->window) && (self->ready <= (uint32_t)ZYGOS_MAX_BLOCKS - self->count);
     for (uint32_t r = 0; r < (uint32_t)ZYGOS_MAX_BLOCKS; r++) {
         good = good && (self->order[r] < (uint32_t)ZYGOS_MAX_BLOCKS);
     }
@@ -107,7 +107,7 @@ static bool are_places_possible(const zygos_accumulator_t *self)
 static void forget_places(zygos_accumulator_t *self)
 {
     self->count = 0;
-    self->open = 0;
+    self->closed = 0;
     self->fresh = 0;
     self->newest = 0;
     self->window = 0;
@@ -398,7 +398,7 @@ static void proceed_merge(zygos_accumulator_t *self)
         free_ranks(self, rank, rank + 1u);
         self->newest -= (rank < self->newest) ? 1u : 0u;
         self->window -= (rank < self->window) ? 1u : 0u;
-        self->open -= (rank < self->open) ? 1u : 0u;
+        self->closed -= (rank < self->closed) ? 1u : 0u;
         self->fresh -= (rank < self->fresh) ? 1u : 0u;
         self->rank -= (rank < self->rank) ? 1u : 0u;
     }
@@ -413,8 +413,8 @@ static void proceed_merge(zygos_accumulator_t *self)
 static uint32_t pair_to_merge(zygos_accumulator_t *self)
 {
     const uint32_t used = (self->count < self->fresh + IN_USE) ? self->fresh : self->count - IN_USE;
-    const uint32_t region[5] = { 0, self->newest, self->window, self->open, self->fresh };
-    const uint32_t end[5] = { self->newest, self->window, self->open, self->open, used };
+    const uint32_t region[5] = { 0, self->newest, self->window, self->closed, self->fresh };
+    const uint32_t end[5] = { self->newest, self->window, self->closed, self->closed, used };
     double least = 2.0 * ZYGOS_MAX_INSTANTS;
     uint32_t fits = self->count;
     for (uint32_t g = 0; g < 5u; g++) {
@@ -456,7 +456,7 @@ static void take_means(zygos_accumulator_t *self)
 {
     const uint32_t last = zygos_gram_entries(self->width - 1u);
     memset(self->mean, 0, sizeof self->mean);
-    for (uint32_t r = self->open; r < self->fresh; r++) {
+    for (uint32_t r = self->closed; r < self->fresh; r++) {
         const double *s = &zygos_accumulator_at(self, r)->gram[last];
         for (uint32_t i = 0; i < self->width; i++) {
             self->mean[i] += s[i];
@@ -470,7 +470,7 @@ static void take_means(zygos_accumulator_t *self)
     const double few = rounded((double)self->closing_instants);
     self->whole = ((counted > 1.0 - few) && (counted < 1.0 + few)) ? 1u : 0u;
     self->overlap = 0.0;
-    self->means = checksum_of_means(self);
+    self->means_checksum = checksum_of_means(self);
 }
 
 /* The next part of the closing arc, of which nothing is left when it does not match. */
@@ -481,7 +481,7 @@ static void begin_closing_task(zygos_accumulator_t *self)
         begin_task(self, ZYGOS_TASK_ADMIT, 0);
         return;
     }
-    if (self->rank == self->open) {
+    if (self->rank == self->closed) {
         take_means(self);
     }
     if (self->whole == 0) {
@@ -498,7 +498,7 @@ static void begin_closing_task(zygos_accumulator_t *self)
 static void begin_next_task(zygos_accumulator_t *self)
 {
     const uint32_t unused = (uint32_t)ZYGOS_MAX_BLOCKS - self->count;
-    const bool closing = (self->fresh > self->open) && is_shared_out(self);
+    const bool closing = (self->fresh > self->closed) && is_shared_out(self);
     const bool lacking = (unused < ZYGOS_SPARE_BLOCKS);
     const bool dirty = (unused > self->ready);
     if (!closing && !lacking && !dirty) {
@@ -658,7 +658,7 @@ static void proceed_centre(zygos_accumulator_t *self)
         block->end = self->closing_end;
         block->fade = 1.0;
         const bool whole =
-            (self->means == checksum_of_means(self)) && is_twice(block->variance) &&
+            (self->means_checksum == checksum_of_means(self)) && is_twice(block->variance) &&
             (zygos_gram_scanned(&self->scan, block->gram, self->width, block->sum, block->instants) <= 1.0);
         self->whole &= whole ? 1u : 0u;
         seal(block, self->width, self->whole != 0);
@@ -681,16 +681,16 @@ void zygos_accumulator_judged_arc(zygos_accumulator_t *self, bool admitted)
 static void admit(zygos_accumulator_t *self)
 {
     if ((double)self->closing_instants >= self->enough) {
-        self->window = self->open; /* it speaks without the short ones before it */
+        self->window = self->closed; /* it speaks without the short ones before it */
     }
-    self->open = self->fresh;
+    self->closed = self->fresh;
     double instants = 0.0;
-    for (uint32_t r = self->window; r < self->open; r++) {
+    for (uint32_t r = self->window; r < self->closed; r++) {
         instants += zygos_accumulator_instants(self, r);
     }
     if (instants >= self->enough) {
         self->newest = self->window;
-        self->window = self->open;
+        self->window = self->closed;
     }
     self->arcs++;
 }
@@ -698,8 +698,8 @@ static void admit(zygos_accumulator_t *self)
 static void leave_out(zygos_accumulator_t *self)
 {
     self->accepted -= self->closing_instants;
-    free_ranks(self, self->open, self->fresh);
-    self->fresh = self->open;
+    free_ranks(self, self->closed, self->fresh);
+    self->fresh = self->closed;
 }
 
 /* What follows the last row is a part of its own. */
@@ -778,7 +778,7 @@ static void finish_upkeep(zygos_accumulator_t *self)
 
 bool zygos_accumulator_closing(const zygos_accumulator_t *self)
 {
-    return self->fresh > self->open;
+    return self->fresh > self->closed;
 }
 
 bool zygos_accumulator_rests(const zygos_accumulator_t *self)
@@ -1123,7 +1123,7 @@ bool zygos_accumulator_close(zygos_accumulator_t *self, uint64_t cycle, uint32_t
         next_buffer(self);
     }
     self->fresh = self->count;
-    self->rank = self->open;
+    self->rank = self->closed;
     self->closing_instants = self->arc_instants;
     self->closing_end = cycle;
     self->closing_cycles = cycles;
@@ -1170,7 +1170,7 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
 static double closed_instants(const zygos_accumulator_t *self)
 {
     double total = 0.0;
-    for (uint32_t r = 0; r < self->open; r++) {
+    for (uint32_t r = 0; r < self->closed; r++) {
         total += zygos_accumulator_instants(self, r);
     }
     return total;
@@ -1204,23 +1204,23 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
         drop_closing_arc(self);
     }
     const double before = closed_instants(self);
-    while ((self->open > 0) && (zygos_accumulator_at(self, self->open - 1u)->end > cycle)) {
-        const uint64_t end = zygos_accumulator_at(self, self->open - 1u)->end;
-        const bool first_of_arc = (self->open == 1) || (zygos_accumulator_at(self, self->open - 2u)->end != end);
+    while ((self->closed > 0) && (zygos_accumulator_at(self, self->closed - 1u)->end > cycle)) {
+        const uint64_t end = zygos_accumulator_at(self, self->closed - 1u)->end;
+        const bool first_of_arc = (self->closed == 1) || (zygos_accumulator_at(self, self->closed - 2u)->end != end);
         self->arcs -= first_of_arc ? 1u : 0u;
         self->arcs_dropped += first_of_arc ? 1u : 0u;
-        self->open--;
+        self->closed--;
     }
-    self->count = self->open;
-    self->fresh = self->open;
-    if (self->open > 0) {
-        zygos_block_t *last = zygos_accumulator_block(self, self->open - 1u);
+    self->count = self->closed;
+    self->fresh = self->closed;
+    if (self->closed > 0) {
+        zygos_block_t *last = zygos_accumulator_block(self, self->closed - 1u);
         const bool whole = is_whole(last, self->width);
         last->overlap = 0.0; /* the block that it shared with is gone */
         seal(last, self->width, whole);
     }
-    self->newest = (self->newest < self->open) ? self->newest : self->open;
-    self->window = (self->window < self->open) ? self->window : self->open;
+    self->newest = (self->newest < self->closed) ? self->newest : self->closed;
+    self->window = (self->window < self->closed) ? self->window : self->closed;
     reduce(self, before);
     reseal(self);
 }
@@ -1232,14 +1232,14 @@ uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle)
     const double before = closed_instants(self);
     uint32_t drop = 0;
     uint32_t dropped = 0;
-    while ((drop < self->open) && (zygos_accumulator_at(self, drop)->end <= cycle)) {
+    while ((drop < self->closed) && (zygos_accumulator_at(self, drop)->end <= cycle)) {
         const uint64_t end = zygos_accumulator_at(self, drop)->end;
-        const bool last_of_arc = (drop + 1u == self->open) || (zygos_accumulator_at(self, drop + 1u)->end != end);
+        const bool last_of_arc = (drop + 1u == self->closed) || (zygos_accumulator_at(self, drop + 1u)->end != end);
         dropped += last_of_arc ? 1u : 0u;
         drop++;
     }
     free_ranks(self, 0, drop);
-    self->open -= drop;
+    self->closed -= drop;
     self->fresh -= drop;
     self->newest -= (self->newest < drop) ? self->newest : drop;
     self->window -= (self->window < drop) ? self->window : drop;
@@ -1253,7 +1253,7 @@ void zygos_accumulator_forget(zygos_accumulator_t *self, double factor)
 {
     double left = 0.0;
     judge(self);
-    for (uint32_t r = 0; r < self->open; r++) {
+    for (uint32_t r = 0; r < self->closed; r++) {
         zygos_block_t *block = zygos_accumulator_block(self, r);
         const bool whole = is_whole(block, self->width);
         const double instants = factor * zygos_accumulator_instants(self, r);
@@ -1271,7 +1271,7 @@ void zygos_accumulator_forget(zygos_accumulator_t *self, double factor)
 
 void zygos_accumulator_apply_fade(zygos_accumulator_t *self)
 {
-    for (uint32_t r = 0; r < self->open; r++) {
+    for (uint32_t r = 0; r < self->closed; r++) {
         zygos_block_t *block = zygos_accumulator_block(self, r);
         const double fade = block->fade;
         if (fade >= 1.0) {
@@ -1333,8 +1333,8 @@ bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t paramete
                 (self->twin == zygos_accumulator_twin(self)) && is_count(self->segment) &&
                 (is_open || !(self->segment > 0.0)) && (self->target >= 1.0) && is_count(self->target) &&
                 (!is_open || ((self->length >= 1.0) && is_count(self->length))) && is_factor(self->noise_fade) &&
-                (self->noise_fade > 0.0) && (self->rank >= self->open || self->fresh == self->open) &&
-                (self->rank <= self->fresh || self->fresh == self->open);
+                (self->noise_fade > 0.0) && (self->rank >= self->closed || self->fresh == self->closed) &&
+                (self->rank <= self->fresh || self->fresh == self->closed);
     for (uint32_t r = 0; good && (r < self->count); r++) {
         good = is_count(zygos_accumulator_at(self, r)->instants) && is_factor(fade_of(zygos_accumulator_at(self, r)));
     }
@@ -1371,11 +1371,11 @@ static bool is_block_whole(const zygos_block_t *block, uint32_t width)
 /* Drops the closed blocks that do not match. Needs that no other blocks are in use. */
 static void quarantine(zygos_accumulator_t *self)
 {
-    const uint32_t was = self->open;
+    const uint32_t was = self->closed;
     bool previous = false; /* whether the block before was kept */
     double before = 0.0;
     double after = 0.0;
-    for (uint32_t r = 0; r < self->open;) {
+    for (uint32_t r = 0; r < self->closed;) {
         zygos_block_t *block = zygos_accumulator_block(self, r);
         const double instants = zygos_accumulator_instants(self, r);
         const bool kept = is_block_whole(block, self->width);
@@ -1390,13 +1390,13 @@ static void quarantine(zygos_accumulator_t *self)
             free_ranks(self, r, r + 1u);
             self->newest -= (r < self->newest) ? 1u : 0u;
             self->window -= (r < self->window) ? 1u : 0u;
-            self->open--;
+            self->closed--;
         }
         r += kept ? 1u : 0u;
         previous = kept;
     }
-    self->fresh = self->open;
-    self->quarantined += was - self->open;
+    self->fresh = self->closed;
+    self->quarantined += was - self->closed;
     self->accepted = (uint64_t)after;
     self->noise_fade *= (before > 0.0) ? after / before : 0.0;
     if (!(self->noise_fade > 0.0)) {
@@ -1418,7 +1418,7 @@ bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
     self->corrupt = 0;
     bool whole = !zygos_accumulator_closing(self) && (self->task == ZYGOS_TASK_NONE) &&
                  (self->twin == zygos_accumulator_twin(self));
-    for (uint32_t r = 0; whole && (r < self->open); r++) {
+    for (uint32_t r = 0; whole && (r < self->closed); r++) {
         whole = is_block_whole(zygos_accumulator_at(self, r), self->width);
     }
     const bool open = is_open_arc_whole(self);
@@ -1452,7 +1452,7 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 {
     const uint32_t size = zygos_gram_entries(self->width);
     memset(gram, 0, size * sizeof gram[0]);
-    for (uint32_t r = 0; r < self->open; r++) {
+    for (uint32_t r = 0; r < self->closed; r++) {
         const zygos_block_t *block = zygos_accumulator_at(self, r);
         const double fade = fade_of(block);
         for (uint32_t k = 0; k < size; k++) {
@@ -1472,7 +1472,7 @@ double zygos_accumulator_check(const zygos_accumulator_t *self)
     }
     for (uint32_t r = 0; r < self->count; r++) {
         const zygos_block_t *block = zygos_accumulator_at(self, r);
-        const bool closed = (r < self->open);
+        const bool closed = (r < self->closed);
         const uint32_t rows = self->width - (closed ? 1u : 0u);
         const double here = zygos_gram_check(block->gram, rows, block->sum, block->instants);
         worst = (here > worst) ? here : worst;

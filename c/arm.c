@@ -188,22 +188,23 @@ static inline uint32_t mixed(uint32_t fold, uint32_t count)
 /* The part of places_of() that many configurations do not have. */
 static uint32_t further_places_of(const zygos_arm_t *self, uint32_t counts)
 {
-    const zygos_config_t *config = &self->config;
+    const zygos_config_t *config = &self->sums.config;
     uint32_t fold = mixed(mixed(mixed(counts, config->effects), config->reductions), config->reduced);
-    fold = mixed(mixed(mixed(fold, self->column_map.reduced), config->momentum_arc_cycles), config->joint_row_cycles);
+    fold =
+        mixed(mixed(mixed(fold, self->sums.column_map.reduced), config->momentum_arc_cycles), config->joint_row_cycles);
     if (config->momentum_arc_cycles > 0) {
-        const zygos_momentum_sums_t *sums = &self->momentum_sums;
+        const zygos_momentum_sums_t *sums = &self->sums.momentum;
         fold = mixed(mixed(mixed(fold, sums->columns), sums->components), sums->signals);
     }
     if (config->joint_row_cycles > 0) {
-        const zygos_joint_sums_t *sums = &self->joint_sums;
+        const zygos_joint_sums_t *sums = &self->sums.joints;
         fold = mixed(mixed(mixed(fold, config->base), config->kinetic), sums->width);
         fold = mixed(mixed(mixed(fold, sums->increments), sums->slice), sums->share);
     }
     for (uint32_t e = 0; e < least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
         fold = mixed(mixed(fold, config->effect[e].kind), config->effect[e].joint);
         for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-            fold = mixed(fold, self->motor_sums.column_map.effect[i][e]);
+            fold = mixed(fold, self->sums.motors.column_map.effect[i][e]);
         }
     }
     for (uint32_t k = 0; k < least(config->reductions, (uint32_t)ZYGOS_MAX_REDUCTION); k++) {
@@ -215,15 +216,15 @@ static uint32_t further_places_of(const zygos_arm_t *self, uint32_t counts)
 /* Of every count and index that follows from the configuration and with which a cycle addresses memory. */
 static inline uint32_t places_of(const zygos_arm_t *self)
 {
-    const zygos_config_t *config = &self->config;
-    const zygos_column_map_t *map = &self->column_map;
+    const zygos_config_t *config = &self->sums.config;
+    const zygos_column_map_t *map = &self->sums.column_map;
     const uint32_t further =
         config->momentum_arc_cycles | config->joint_row_cycles | config->effects | config->reductions;
     uint32_t fold = mixed(mixed(mixed(config->joints, config->torque_law), config->smoother_half_width), map->kinetic);
     fold = mixed(mixed(mixed(mixed(fold, map->body), map->effects), map->count), map->parameters);
-    fold = mixed(mixed(mixed(fold, self->smoother.joints), self->smoother.window), self->accumulator.width);
+    fold = mixed(mixed(mixed(fold, self->smoother.joints), self->smoother.window), self->sums.energy.width);
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-        fold = mixed(mixed(mixed(fold, map->joint[i]), map->rotor[i]), self->motor_sums.column_map.count[i]);
+        fold = mixed(mixed(mixed(fold, map->joint[i]), map->rotor[i]), self->sums.motors.column_map.count[i]);
     }
     return (further != 0) ? further_places_of(self, fold) : fold;
 }
@@ -237,24 +238,24 @@ static inline uint32_t places_of(const zygos_arm_t *self)
    an arc. */
 static uint64_t moving_of(const zygos_arm_t *self)
 {
-    const zygos_config_t *config = &self->config;
+    const zygos_config_t *config = &self->sums.config;
     const zygos_balance_t *balance = &self->balance;
     const zygos_impulse_t *impulse = &self->impulse;
-    uint32_t counts = zygos_folded_count(self->arc, self->ending);
+    uint32_t counts = zygos_folded_count(self->sums.arc, self->sums.ending);
     counts = zygos_folded_count(zygos_folded_count(counts, self->smoother.position), self->smoother.filled);
     counts = zygos_folded_count(zygos_folded_count(counts, balance->instants), balance->origin);
     counts = zygos_folded_count(counts, balance->torque_at);
     if (config->impulse_arc_cycles > 0) {
         counts = zygos_folded_count(zygos_folded_count(counts, impulse->instants), impulse->origin);
-        counts = zygos_folded_count(counts, self->motor_sums.cycles);
+        counts = zygos_folded_count(counts, self->sums.motors.store.cycles);
     }
     if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
         counts = zygos_folded_count(zygos_folded_count(counts, self->momentum.instants), self->momentum.origin);
-        counts = zygos_folded_count(counts, self->momentum_sums.cycles);
+        counts = zygos_folded_count(counts, self->sums.momentum.store.cycles);
     }
     uint64_t fold = FOLDED(counts, balance, zygos_balance_t, work, dissipation_rate);
     fold = FOLDED(fold, &self->previous, zygos_previous_cycle_t, reported, theta);
-    fold = FOLDED(fold, &self->accumulator, zygos_accumulator_t, length, segment);
+    fold = FOLDED(fold, &self->sums.energy, zygos_accumulator_t, length, segment);
     if (config->impulse_arc_cycles > 0) {
         fold = FOLDED(fold, impulse, zygos_impulse_t, impulse, past);
     }
@@ -269,11 +270,11 @@ static uint64_t moving_of(const zygos_arm_t *self)
         fold = FOLDED(fold, impulse, zygos_impulse_t, total, before);
     }
     if (config->forgetting_factor < 1.0) {
-        fold = FOLDED(fold, self, zygos_arm_t, forgetting, joints_forgetting);
+        fold = zygos_fold_words(fold, self->sums.forgetting, sizeof self->sums.forgetting);
     }
-    if (self->ending != 0) {
-        fold = zygos_fold_words(fold, self->ended, sizeof self->ended);
-        fold = zygos_fold_words(fold, self->ended_forgetting, sizeof self->ended_forgetting);
+    if (self->sums.ending != 0) {
+        fold = zygos_fold_words(fold, self->sums.ended, sizeof self->sums.ended);
+        fold = zygos_fold_words(fold, self->sums.ended_forgetting, sizeof self->sums.ended_forgetting);
     }
     return zygos_fold_end(fold);
 }
@@ -282,32 +283,32 @@ static uint64_t moving_of(const zygos_arm_t *self)
    compared with the configuration, which is verified before. */
 static bool is_steady(const zygos_arm_t *self)
 {
-    const zygos_config_t *config = &self->config;
-    const zygos_accumulator_t *sums = &self->accumulator;
+    const zygos_config_t *config = &self->sums.config;
+    const zygos_accumulator_t *sums = &self->sums.energy;
     const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ zygos_accumulator_twin(sums));
     return (off == 0) && (self->moving == moving_of(self)) && zygos_accumulator_steady(sums) &&
-           zygos_momentum_sums_steady(&self->momentum_sums) && zygos_motor_sums_steady(&self->motor_sums) &&
+           zygos_store_steady(&self->sums.motors.store) && zygos_store_steady(&self->sums.momentum.store) &&
            (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
-            (zygos_joint_intact(&self->joint, config) && zygos_joint_sums_steady(&self->joint_sums, config)));
+            (zygos_joint_intact(&self->joint, config) && zygos_joint_sums_steady(&self->sums.joints, config)));
 }
 
 /* What follows from the configuration alone. */
 static void make_tables(zygos_arm_t *self)
 {
-    const zygos_config_t *own = &self->config;
-    zygos_balance_column_map(own, &self->column_map);
+    const zygos_config_t *own = &self->sums.config;
+    zygos_balance_column_map(own, &self->sums.column_map);
     zygos_geometry_init(&self->geometry, own);
     zygos_smoother_init(&self->smoother, own);
-    zygos_noise_init(&self->noise, own, &self->column_map, &self->smoother);
-    zygos_motor_sums_tables(&self->motor_sums, own, &self->smoother);
-    zygos_momentum_sums_tables(&self->momentum_sums, own, &self->smoother);
-    zygos_joint_sums_tables(&self->joint_sums, own, &self->column_map, &self->smoother);
-    self->accumulator.width = self->column_map.parameters + 2u;
-    self->accumulator.noisy = (own->compensation > 0) ? 1u : 0u;
+    zygos_noise_init(&self->noise, own, &self->sums.column_map, &self->smoother);
+    zygos_motor_sums_tables(&self->sums.motors, own, &self->smoother);
+    zygos_momentum_sums_tables(&self->sums.momentum, own, &self->smoother);
+    zygos_joint_sums_tables(&self->sums.joints, own, &self->sums.column_map, &self->smoother);
+    self->sums.energy.width = self->sums.column_map.parameters + 2u;
+    self->sums.energy.noisy = (own->compensation > 0) ? 1u : 0u;
     self->config_checksum = zygos_checksum_memory(0, own, sizeof *own);
-    self->copied_checksum = zygos_copied_checksum(own, &self->motor_sums, &self->momentum_sums, &self->joint_sums);
+    self->sums.checksum = zygos_sums_checksum(&self->sums);
     self->tables_checksum = zygos_tables_checksum(self);
     self->places = places_of(self);
 }
@@ -348,27 +349,19 @@ int zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config)
     if (verdict < 0) {
         return verdict;
     }
-    memmove(&self->config, config, sizeof self->config); /* config may point into *self */
-    const zygos_config_t *own = &self->config;
-    unsigned char *behind = (unsigned char *)(&self->config + 1);
-    memset(self, 0, offsetof(zygos_arm_t, config));
-    memset(behind, 0, sizeof *self - offsetof(zygos_arm_t, config) - sizeof self->config);
+    memmove(&self->sums.config, config, sizeof self->sums.config); /* config may point into *self */
+    const zygos_config_t *own = &self->sums.config;
+    unsigned char *behind = (unsigned char *)(&self->sums.config + 1);
+    memset(self, 0, offsetof(zygos_arm_t, sums.config));
+    memset(behind, 0, sizeof *self - offsetof(zygos_arm_t, sums.config) - sizeof self->sums.config);
     make_tables(self);
     zygos_receiver_init(&self->receiver);
     zygos_balance_reset(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->column_map.parameters, own->arc_cycles, own->period_s);
     zygos_impulse_reset(&self->impulse);
-    zygos_motor_sums_clear(&self->motor_sums, own);
     zygos_momentum_reset(&self->momentum);
-    zygos_momentum_sums_clear(&self->momentum_sums, own);
     zygos_joint_reset(&self->joint, own);
-    zygos_joint_sums_clear(&self->joint_sums);
-    self->joints_forgetting = 1.0;
-    self->forgetting = 1.0;
-    self->motors_forgetting = 1.0;
-    self->momentum_forgetting = 1.0;
-    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        self->ended_forgetting[kind] = 1.0;
+    for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
+        zygos_sums_clear(&self->sums, kind);
     }
     self->moving = moving_of(self);
     self->magic = MAGIC;
@@ -383,97 +376,13 @@ int zygos_arm_frame(zygos_arm_t *self, const zygos_frame_t *frame)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    return zygos_receiver_frame(&self->receiver, &self->config, frame);
-}
-
-static bool fades(const zygos_arm_t *self, double product)
-{
-    return zygos_kept_share(&self->config, product) < 1.0;
-}
-
-/* Sums of closed arcs fade when an arc ends. Who is of use has waited until nothing is being done to them; where an arc
-   is too short, all fades with the next one. */
-static void end_arc(zygos_arm_t *self, uint64_t cycle)
-{
-    if (zygos_accumulator_rests(&self->accumulator)) {
-        if (fades(self, self->forgetting)) {
-            zygos_accumulator_forget(&self->accumulator, self->forgetting);
-        }
-        self->forgetting = 1.0;
-    }
-    (void)zygos_accumulator_close(&self->accumulator, cycle, self->arc);
-    self->arc = 0;
-}
-
-static void end_joint_arc(zygos_arm_t *self, uint64_t cycle)
-{
-    if (self->motor_sums.task == ZYGOS_MOTOR_NONE) {
-        if (fades(self, self->motors_forgetting)) {
-            zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
-        }
-        self->motors_forgetting = 1.0;
-    }
-    (void)zygos_motor_sums_close(&self->motor_sums, cycle);
-}
-
-static void end_momentum_arc(zygos_arm_t *self, uint64_t cycle)
-{
-    if (self->momentum_sums.task == ZYGOS_MOMENTUM_NONE) {
-        if (fades(self, self->momentum_forgetting)) {
-            zygos_momentum_sums_forget(&self->momentum_sums, self->momentum_forgetting);
-        }
-        self->momentum_forgetting = 1.0;
-    }
-    (void)zygos_momentum_sums_close(&self->momentum_sums, cycle);
+    return zygos_receiver_frame(&self->receiver, &self->sums.config, frame);
 }
 
 /* ---------------------------------------------------------------- ends of arcs
 
    An arc that ends while the one before it is closing waits until that one is closed, which would cost many times a
    cycle at once. There are no rows of its kind in that time. */
-
-static double *forgetting_of(zygos_arm_t *self, uint32_t kind)
-{
-    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        return &self->forgetting;
-    }
-    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors_forgetting : &self->momentum_forgetting;
-}
-
-static bool is_waiting(const zygos_arm_t *self, uint32_t kind)
-{
-    return ((self->ending >> kind) & 1u) != 0;
-}
-
-/* No arc of that kind waits any more: all fades with the next one. The product is 1 then, so that a flipped bit of
-   `ending` makes nothing fade. */
-static void drop_waiting(zygos_arm_t *self, uint32_t kind)
-{
-    if (is_waiting(self, kind)) {
-        *forgetting_of(self, kind) *= self->ended_forgetting[kind];
-        self->ending ^= 1u << kind;
-    }
-    self->ended_forgetting[kind] = 1.0;
-}
-
-static void drop_all_waiting(zygos_arm_t *self)
-{
-    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        drop_waiting(self, kind);
-    }
-    self->ending = 0; /* without bits of other kinds, which memory may supply */
-}
-
-static void end_arc_of(zygos_arm_t *self, uint32_t kind, uint64_t cycle)
-{
-    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        end_joint_arc(self, cycle);
-    } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        end_momentum_arc(self, cycle);
-    } else {
-        end_arc(self, cycle);
-    }
-}
 
 static bool is_held(const zygos_arm_t *self, uint32_t kind)
 {
@@ -484,52 +393,21 @@ static bool is_held(const zygos_arm_t *self, uint32_t kind)
    closed arcs that merge have to be whole before they fade. */
 static bool has_to_wait(const zygos_arm_t *self, uint32_t kind)
 {
-    const bool held = is_held(self, kind);
-    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        return (held || (self->motor_sums.task != ZYGOS_MOTOR_NONE)) && !zygos_motor_sums_is_short(&self->motor_sums);
-    }
-    if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        return (held || (self->momentum_sums.task != ZYGOS_MOMENTUM_NONE)) &&
-               !zygos_momentum_sums_is_short(&self->momentum_sums);
-    }
-    const bool fading = (self->config.forgetting_factor < 1.0) && !zygos_accumulator_rests(&self->accumulator);
-    return (held || zygos_accumulator_closing(&self->accumulator) || fading) &&
-           !zygos_accumulator_is_short(&self->accumulator);
+    return (is_held(self, kind) || !zygos_sums_can_close(&self->sums, kind)) && !zygos_sums_is_short(&self->sums, kind);
 }
 
 /* Ends the open arc, or lets it wait for that. */
 static void end_in_turn(zygos_arm_t *self, uint32_t kind)
 {
     if (!has_to_wait(self, kind)) {
-        end_arc_of(self, kind, self->cycle);
+        zygos_sums_end_arc(&self->sums, kind, self->sums.cycle);
         return;
     }
-    double *forgetting = forgetting_of(self, kind);
-    self->ending |= 1u << kind;
-    self->ended[kind] = self->cycle;
-    self->ended_forgetting[kind] = *forgetting;
+    double *forgetting = &self->sums.forgetting[kind];
+    self->sums.ending |= 1u << kind;
+    self->sums.ended[kind] = self->sums.cycle;
+    self->sums.ended_forgetting[kind] = *forgetting;
     *forgetting = 1.0;
-}
-
-/* Ends the arc that waits, if there is one of that kind. */
-static void end_waiting(zygos_arm_t *self, uint32_t kind)
-{
-    if (is_waiting(self, kind)) {
-        double *forgetting = forgetting_of(self, kind);
-        const double since = *forgetting;
-        self->ending ^= 1u << kind;
-        *forgetting = self->ended_forgetting[kind];
-        self->ended_forgetting[kind] = 1.0;
-        end_arc_of(self, kind, self->ended[kind]);
-        *forgetting *= since;
-    }
-}
-
-static void end_all_waiting(zygos_arm_t *self)
-{
-    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        end_waiting(self, kind);
-    }
 }
 
 /* Ends those arcs that no longer have to wait. */
@@ -537,7 +415,7 @@ static void end_free(zygos_arm_t *self)
 {
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         if (!has_to_wait(self, kind)) {
-            end_waiting(self, kind);
+            zygos_sums_end_waiting(&self->sums, kind);
         }
     }
 }
@@ -549,9 +427,9 @@ static void gap(zygos_arm_t *self)
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
     zygos_momentum_reset(&self->momentum);
-    zygos_joint_reset(&self->joint, &self->config);
+    zygos_joint_reset(&self->joint, &self->sums.config);
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        if (!is_waiting(self, kind)) {
+        if (!zygos_sums_is_ending(&self->sums, kind)) {
             end_in_turn(self, kind);
         }
     }
@@ -560,68 +438,41 @@ static void gap(zygos_arm_t *self)
 /* Adds rows that wait to the blocks. Returns how many parts of tasks, with that, cost less than an energy row. */
 static uint32_t share_rows(zygos_arm_t *self)
 {
-    const uint32_t most = IDLE_PARTS + ((self->config.compensation > 0) ? 1u : 0u);
-    const bool shared = zygos_accumulator_share_slices(&self->accumulator);
-    return (shared && (self->accumulator.width > ZYGOS_WIDE)) ? 1u : most;
+    const uint32_t most = IDLE_PARTS + ((self->sums.config.compensation > 0) ? 1u : 0u);
+    const bool shared = zygos_accumulator_share_slices(&self->sums.energy);
+    return (shared && (self->sums.energy.width > ZYGOS_WIDE)) ? 1u : most;
 }
 
 static void proceed_energy(zygos_arm_t *self)
 {
-    if ((self->config.arc_cycles > 0) && !is_held(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
-        zygos_guard_proceed_energy(&self->guard, &self->config, &self->accumulator);
+    if ((self->sums.config.arc_cycles > 0) && !is_held(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
+        zygos_guard_proceed(&self->sums, (uint32_t)ZYGOS_ENERGY_ROWS);
     }
+}
+
+static bool may_proceed(const zygos_arm_t *self, uint32_t kind)
+{
+    return zygos_sums_is_busy(&self->sums, kind) && !is_held(self, kind);
 }
 
 /* The tasks proceed in a cycle without rows. */
 static void idle(zygos_arm_t *self)
 {
-    const zygos_config_t *config = &self->config;
     const uint32_t most = share_rows(self);
     const uint32_t parts = ((self->beside != 0) && (most > 1u)) ? most - 1u : most;
     for (uint32_t part = 0; part < parts; part++) {
-        if ((self->motor_sums.task != ZYGOS_MOTOR_NONE) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS)) {
-            (void)zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums);
-        } else if ((self->momentum_sums.task != ZYGOS_MOMENTUM_NONE) && !is_held(self, (uint32_t)ZYGOS_MOMENTUM_ROWS)) {
-            (void)zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums);
+        uint32_t kind = (uint32_t)ZYGOS_MOTOR_ROWS;
+        while ((kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) && !may_proceed(self, kind)) {
+            kind++;
+        }
+        if (kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) {
+            zygos_guard_proceed(&self->sums, kind);
         } else {
             proceed_energy(self);
         }
-        if (self->ending != 0) {
+        if (self->sums.ending != 0) {
             end_free(self);
         }
-    }
-}
-
-static void settle_motors(zygos_arm_t *self)
-{
-    zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
-}
-
-static void settle_sums(zygos_arm_t *self)
-{
-    zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
-    settle_motors(self);
-    zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
-}
-
-/* Finishes what proceeds beside the cycles. */
-static void settle(zygos_arm_t *self)
-{
-    settle_sums(self);
-    if (self->ending != 0) {
-        end_all_waiting(self);
-        settle_sums(self);
-    }
-}
-
-static void drop_after(zygos_arm_t *self, uint32_t kind, uint64_t cycle)
-{
-    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        zygos_motor_sums_drop_after(&self->motor_sums, cycle);
-    } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        zygos_momentum_sums_drop_after(&self->momentum_sums, cycle);
-    } else {
-        zygos_accumulator_drop_after(&self->accumulator, cycle);
     }
 }
 
@@ -633,15 +484,15 @@ static void void_arcs(zygos_arm_t *self, const zygos_cycle_t *cycle)
     }
     const uint64_t doubtful = cycle->flags >> ZYGOS_CYCLE_VOID_SHIFT;
     const uint64_t trusted = (doubtful < cycle->sync) ? cycle->sync - doubtful : 0u;
-    if ((doubtful != 0) && (self->cycle <= trusted)) {
+    if ((doubtful != 0) && (self->sums.cycle <= trusted)) {
         return;
     }
-    self->dropped++;
-    zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+    self->sums.dropped++;
+    zygos_sums_drop_after(&self->sums, ZYGOS_JOINT_KIND, trusted);
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        if (!is_waiting(self, kind) || (self->ended[kind] > trusted)) {
-            drop_waiting(self, kind); /* with the open arc, as which it counts */
-            drop_after(self, kind, trusted);
+        if (!zygos_sums_is_ending(&self->sums, kind) || (self->sums.ended[kind] > trusted)) {
+            zygos_sums_drop_waiting(&self->sums, kind); /* with the open arc, as which it counts */
+            zygos_sums_drop_after(&self->sums, kind, trusted);
         }
     }
 }
@@ -657,7 +508,7 @@ static void go_without_row(zygos_arm_t *self, uint32_t kind)
 {
     self->waited[kind]++;
     if (!has_to_wait(self, kind)) {
-        end_waiting(self, kind);
+        zygos_sums_end_waiting(&self->sums, kind);
     }
 }
 
@@ -666,36 +517,46 @@ static void go_without_row(zygos_arm_t *self, uint32_t kind)
 static bool yields(const zygos_arm_t *self, uint32_t kind)
 {
     const uint32_t turn = (uint32_t)(self->cycles & 3u);
-    const bool momentum = is_waiting(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && (turn == 1u);
-    const bool energy = zygos_accumulator_has_work(&self->accumulator) && ((turn & 1u) == 0);
+    const bool momentum = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS) && (turn == 1u);
+    const bool energy = zygos_accumulator_has_work(&self->sums.energy) && ((turn & 1u) == 0);
     return energy || (momentum && (kind == (uint32_t)ZYGOS_MOTOR_ROWS));
+}
+
+/* Returns whether a task of these rows has proceeded. */
+static bool proceed_beside(zygos_arm_t *self, uint32_t kind)
+{
+    if (yields(self, kind) || !may_proceed(self, kind)) {
+        return false;
+    }
+    zygos_guard_proceed(&self->sums, kind);
+    return true;
 }
 
 /* The motor impulse rows of the newest instant, which have arcs of their own. busy: this cycle has done something that
    costs as much as the part of a task; one is enough. Returns the same. */
 static bool add_impulses(zygos_arm_t *self, bool busy)
 {
-    const zygos_config_t *config = &self->config;
+    const zygos_config_t *config = &self->sums.config;
     if (config->impulse_arc_cycles == 0) {
         return busy;
     }
-    if (zygos_impulse_row(&self->impulse, config, &self->motor_sums.column_map, &self->arm_state, &self->motion,
+    if (zygos_impulse_row(&self->impulse, config, &self->sums.motors.column_map, &self->arm_state, &self->motion,
                           zygos_balance_torque_before(&self->balance),
                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
         return busy;
     }
-    const bool waits = is_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS);
+    const bool waits = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOTOR_ROWS);
     if (!waits) {
-        zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
+        zygos_motor_sums_add(&self->sums.motors, config, &self->impulse_rows, self->arm_state.accepted);
     }
-    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOTOR_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOTOR_ROWS) &&
-                    zygos_guard_proceed_motors(&self->guard, config, &self->column_map, &self->motor_sums));
+    busy = busy || proceed_beside(self, (uint32_t)ZYGOS_MOTOR_ROWS);
     if (waits) {
         go_without_row(self, (uint32_t)ZYGOS_MOTOR_ROWS);
         zygos_impulse_new_arc(&self->impulse);
-    } else if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
+    } else if (self->sums.motors.store.cycles >= config->impulse_arc_cycles) {
         end_in_turn(self, (uint32_t)ZYGOS_MOTOR_ROWS);
         zygos_impulse_new_arc(&self->impulse);
+        busy = true; /* an arc was copied */
     }
     return busy;
 }
@@ -703,24 +564,24 @@ static bool add_impulses(zygos_arm_t *self, bool busy)
 /* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. busy: as above. */
 static bool add_momentum(zygos_arm_t *self, bool busy)
 {
-    const zygos_config_t *config = &self->config;
-    if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) || (self->momentum_sums.components == 0) ||
+    const zygos_config_t *config = &self->sums.config;
+    if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) || (self->sums.momentum.components == 0) ||
         (zygos_momentum_advance(&self->momentum, config, &self->arm_state) == 0)) {
         return busy;
     }
-    const bool waits = is_waiting(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
+    const bool waits = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS);
     if (!waits) {
-        zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->arm_state, &self->motion,
+        zygos_momentum_sums_add(&self->sums.momentum, config, &self->momentum, &self->arm_state, &self->motion,
                                 self->arm_state.accepted);
     }
-    busy = busy || (!yields(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) && !is_held(self, (uint32_t)ZYGOS_MOMENTUM_ROWS) &&
-                    zygos_guard_proceed_momentum(&self->guard, config, &self->column_map, &self->momentum_sums));
+    busy = busy || proceed_beside(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
     if (waits) {
         go_without_row(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
         zygos_momentum_new_arc(&self->momentum);
-    } else if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
+    } else if (self->sums.momentum.store.cycles >= config->momentum_arc_cycles) {
         end_in_turn(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
         zygos_momentum_new_arc(&self->momentum);
+        busy = true; /* an arc was copied */
     }
     return busy;
 }
@@ -729,36 +590,37 @@ static bool add_momentum(zygos_arm_t *self, bool busy)
    Returns whether there was a row. */
 static bool add_joints(zygos_arm_t *self)
 {
-    const zygos_config_t *config = &self->config;
+    const zygos_config_t *config = &self->sums.config;
     if ((ZYGOS_JOINT_ROWS == 0) || (config->joint_row_cycles == 0)) {
         return false;
     }
-    if (zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted, self->joint.turn < config->joints)) {
-        zygos_guard_end_joints(&self->guard, config, &self->joint_sums, self->cycle, &self->joints_forgetting);
+    if (zygos_joint_sums_step(&self->sums.joints, config, self->arm_state.accepted,
+                              self->joint.turn < config->joints)) {
+        zygos_guard_end_joints(&self->sums);
     }
-    const int formed = zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state,
+    const int formed = zygos_joint_row(&self->joint, config, &self->sums.column_map, &self->geometry, &self->arm_state,
                                        &self->motion, zygos_balance_torque_before(&self->balance),
                                        zygos_balance_torque_after(&self->balance, config), &self->joint_row);
     if (formed <= 0) {
-        self->joint_sums.quarantined += (formed < 0) ? 1u : 0u;
+        self->sums.joints.quarantined += (formed < 0) ? 1u : 0u;
         return false;
     }
-    zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row);
+    zygos_joint_sums_add(&self->sums.joints, config, &self->sums.column_map, &self->joint, &self->joint_row);
     return true;
 }
 
 /* The energy row of the newest instant. busy: as above. */
 static void add_energy(zygos_arm_t *self, bool busy)
 {
-    const zygos_config_t *config = &self->config;
+    const zygos_config_t *config = &self->sums.config;
     zygos_row_t columns; /* before they are reduced, where they are */
     zygos_row_t *row = (config->reduced > 0) ? &columns : &self->row;
     if ((config->arc_cycles == 0) ||
-        (zygos_balance_row(&self->balance, config, &self->column_map, &self->noise.integral_bias, &self->arm_state,
+        (zygos_balance_row(&self->balance, config, &self->sums.column_map, &self->noise.integral_bias, &self->arm_state,
                            &self->motion, row) == 0)) {
         return;
     }
-    if (is_waiting(self, (uint32_t)ZYGOS_ENERGY_ROWS)) {
+    if (zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_ENERGY_ROWS)) {
         const uint32_t most = share_rows(self);
         const uint32_t parts = busy ? 1u : most;
         for (uint32_t part = 0; part < parts; part++) {
@@ -772,32 +634,32 @@ static void add_energy(zygos_arm_t *self, bool busy)
     self->accepted = self->arm_state.accepted;
     zygos_noise_means(&self->noise, config, &self->motion, row);
     if (config->reduced > 0) {
-        zygos_reduce(config, &self->column_map, columns.column, self->row.column);
+        zygos_reduce(config, &self->sums.column_map, columns.column, self->row.column);
         self->row.work = columns.work;
         self->row.variance = columns.variance;
     }
-    zygos_noise_sums_t *noise = &self->accumulator.noise_open[self->accumulator.parity];
-    zygos_row_buffer_t *buffer = &self->accumulator.buffer[self->accumulator.filling];
+    zygos_noise_sums_t *noise = &self->sums.energy.noise_open[self->sums.energy.parity];
+    zygos_row_buffer_t *buffer = &self->sums.energy.buffer[self->sums.energy.filling];
     const zygos_noise_target_t target = { noise->gram, noise->sum, buffer->gram, buffer->sum };
     const bool whole =
-        zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
+        zygos_noise_add(&self->noise, config, &self->sums.column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
-                        self->arc, self->arm_state.accepted, &target);
-    const bool opened = zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
+                        self->sums.arc, self->arm_state.accepted, &target);
+    const bool opened = zygos_accumulator_add(&self->sums.energy, &self->row, self->arm_state.accepted);
     /* The noise of the first link is that of all bodies, which costs the most. */
-    const bool dear = (config->compensation > TURNS) && (self->arc % config->compensation == 0);
+    const bool dear = (config->compensation > TURNS) && (self->sums.arc % config->compensation == 0);
     if (!opened && !busy && !dear) {
         proceed_energy(self);
     }
     if (!whole) {
         suspect(self);
     }
-    self->arc++;
+    self->sums.arc++;
     /* Where the motion is too fast for the smoother, the error of the integrals is a constant of the following arc. A
        factor is used instead of a branch, so that the instructions of a cycle do not depend on its data. */
     const double shortest = (double)(config->arc_cycles / SHORTEST);
     const double longest = (double)config->arc_cycles;
-    if ((double)self->arc >= shortest + self->arm_state.accepted * (longest - shortest)) {
+    if ((double)self->sums.arc >= shortest + self->arm_state.accepted * (longest - shortest)) {
         end_in_turn(self, (uint32_t)ZYGOS_ENERGY_ROWS);
         zygos_balance_new_arc(&self->balance);
     }
@@ -806,12 +668,12 @@ static void add_energy(zygos_arm_t *self, bool busy)
 static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
 {
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
-    const bool follows = (self->cycles > 0) && (cycle->sync == self->cycle + 1u) && !(cycle->flags & broken);
-    const bool wrapped = follows && (zygos_cycle_wrapped(&self->previous, &self->config, cycle) == 1);
+    const bool follows = (self->cycles > 0) && (cycle->sync == self->sums.cycle + 1u) && !(cycle->flags & broken);
+    const bool wrapped = follows && (zygos_cycle_wrapped(&self->previous, &self->sums.config, cycle) == 1);
     double signal[ZYGOS_MAX_SIGNALS];
     double tau[ZYGOS_MAX_JOINTS];
-    zygos_cycle_calibrate(&self->previous, &self->config, cycle, signal, tau);
-    const bool apart = (zygos_cycle_apart(signal, self->config.joints) == 1);
+    zygos_cycle_calibrate(&self->previous, &self->sums.config, cycle, signal, tau);
+    const bool apart = (zygos_cycle_apart(signal, self->sums.config.joints) == 1);
     if (wrapped) {
         self->wraps++;
     }
@@ -822,28 +684,28 @@ static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
     if (!follows || wrapped || (apart && (self->smoother.filled > 0))) {
         gap(self);
     }
-    self->cycle = cycle->sync;
+    self->sums.cycle = cycle->sync;
     self->cycles++;
-    const double factor = self->config.forgetting_factor;
-    self->forgetting *= factor;
-    self->motors_forgetting *= factor;
-    self->momentum_forgetting *= (ZYGOS_MOMENTUM != 0) ? factor : 1.0;
-    self->joints_forgetting *= factor;
+    const double factor = self->sums.config.forgetting_factor;
+    self->sums.forgetting[ZYGOS_ENERGY_ROWS] *= factor;
+    self->sums.forgetting[ZYGOS_MOTOR_ROWS] *= factor;
+    self->sums.forgetting[ZYGOS_MOMENTUM_ROWS] *= (ZYGOS_MOMENTUM != 0) ? factor : 1.0;
+    self->sums.forgetting[ZYGOS_JOINT_KIND] *= factor;
     self->instant = 0;
     if (apart) {
         return;
     }
-    zygos_balance_torque(&self->balance, &self->config, tau);
+    zygos_balance_torque(&self->balance, &self->sums.config, tau);
     const int smoothed = zygos_smoother_push(&self->smoother, signal, &self->arm_state);
-    if ((smoothed < 0) || !zygos_balance_torque_is_whole(&self->balance, &self->config)) {
+    if ((smoothed < 0) || !zygos_balance_torque_is_whole(&self->balance, &self->sums.config)) {
         suspect(self);
     }
     if (smoothed != 1) {
         idle(self);
         return;
     }
-    zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
-    self->added = (self->arm_state.accepted > 0.0) ? self->cycle : self->added;
+    zygos_kinematics(&self->geometry, &self->sums.config, &self->arm_state, &self->motion);
+    self->added = (self->arm_state.accepted > 0.0) ? self->sums.cycle : self->added;
     const bool busy = add_joints(self) || (self->beside != 0);
     add_energy(self, add_momentum(self, add_impulses(self, busy)));
 }
@@ -851,18 +713,9 @@ static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
 /* Whether what is used as a place, a count or a length can be. What follows from the configuration is computed anew. */
 static bool is_intact(const zygos_arm_t *self)
 {
-    zygos_column_map_t column_map;
-    if (zygos_config_check(&self->config) < 0) {
-        return false;
-    }
-    zygos_balance_column_map(&self->config, &column_map);
-    return zygos_receiver_intact(&self->receiver) &&
-           zygos_accumulator_intact(&self->accumulator, column_map.parameters) &&
-           zygos_joint_intact(&self->joint, &self->config) &&
-           zygos_joint_sums_intact(&self->joint_sums, &self->config, &column_map) &&
-           zygos_motor_sums_intact(&self->motor_sums, &self->config) &&
-           zygos_momentum_sums_intact(&self->momentum_sums, &self->config) && zygos_guard_intact(&self->guard) &&
-           (self->ending < (1u << ZYGOS_KINDS_OF_ROWS));
+    return (zygos_config_check(&self->sums.config) >= 0) && zygos_receiver_intact(&self->receiver) &&
+           zygos_joint_intact(&self->joint, &self->sums.config) && zygos_sums_are_intact(&self->sums) &&
+           zygos_guard_intact(&self->sums.guard) && (self->sums.ending < (1u << ZYGOS_KINDS_OF_ROWS));
 }
 
 int zygos_arm_resume(zygos_arm_t *self, const zygos_config_t *config)
@@ -877,7 +730,7 @@ int zygos_arm_resume(zygos_arm_t *self, const zygos_config_t *config)
     if (verdict < 0) {
         return verdict;
     }
-    if (!zygos_is_same(&self->config, config, (uint32_t)sizeof *config)) {
+    if (!zygos_is_same(&self->sums.config, config, (uint32_t)sizeof *config)) {
         return ZYGOS_E_CONFIG;
     }
     if (!is_intact(self)) {
@@ -885,9 +738,9 @@ int zygos_arm_resume(zygos_arm_t *self, const zygos_config_t *config)
     }
     self->gaps += (self->smoother.filled > 0) ? 1u : 0u; /* before the tables empty the smoother */
     make_tables(self);
-    self->scrubbed = self->cycle;
+    self->scrubbed = self->sums.cycle;
     gap(self);
-    settle(self);
+    zygos_sums_settle(&self->sums);
     self->instant = 0;
     zygos_receiver_resume(&self->receiver);
     self->moving = moving_of(self);
@@ -922,7 +775,7 @@ int zygos_arm_step(zygos_arm_t *self)
     if (!is_steady(self)) {
         return ZYGOS_E_STATE;
     }
-    if (zygos_receiver_front_is_whole(&self->receiver, &self->config)) {
+    if (zygos_receiver_front_is_whole(&self->receiver, &self->sums.config)) {
         process_cycle(self, cycle);
     } else {
         leave_out(self, cycle);
@@ -957,7 +810,7 @@ int zygos_arm_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
     if (!is_steady(self)) {
         return ZYGOS_E_STATE;
     }
-    if (!usable(&self->config, cycle)) {
+    if (!usable(&self->sums.config, cycle)) {
         leave_out(self, cycle);
         self->moving = moving_of(self);
         return 0;
@@ -978,24 +831,15 @@ int zygos_arm_end_arcs(zygos_arm_t *self)
     if (!is_steady(self) || !is_intact(self)) {
         return ZYGOS_E_STATE;
     }
-    const zygos_config_t *config = &self->config;
-    settle(self);
-    if (config->arc_cycles > 0) {
-        end_arc(self, self->cycle);
-        zygos_balance_new_arc(&self->balance);
+    zygos_sums_settle(&self->sums);
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        zygos_sums_end_arc(&self->sums, kind, self->sums.cycle);
     }
-    if (config->impulse_arc_cycles > 0) {
-        end_joint_arc(self, self->cycle);
-        zygos_impulse_new_arc(&self->impulse);
-    }
-    if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
-        end_momentum_arc(self, self->cycle);
-        zygos_momentum_new_arc(&self->momentum);
-    }
-    zygos_joint_sums_flush(&self->joint_sums, config);
-    zygos_guard_end_joints(&self->guard, config, &self->joint_sums, self->cycle, &self->joints_forgetting);
-    zygos_joint_sums_flush(&self->joint_sums, config);
-    settle_sums(self);
+    zygos_balance_new_arc(&self->balance);
+    zygos_impulse_new_arc(&self->impulse);
+    zygos_momentum_new_arc(&self->momentum);
+    zygos_sums_end_segment(&self->sums);
+    zygos_sums_settle(&self->sums);
     self->moving = moving_of(self);
     return 1;
 }
@@ -1005,19 +849,7 @@ void zygos_arm_take(const zygos_arm_t *self, zygos_work_t *work)
     if ((self == NULL) || (work == NULL)) {
         return;
     }
-    work->accumulator = self->accumulator;
-    work->motor_sums = self->motor_sums;
-    work->momentum_sums = self->momentum_sums;
-    work->joint_sums = self->joint_sums;
-    work->joints_forgetting = self->joints_forgetting;
-    work->guard = self->guard;
-    work->cycle = self->cycle;
-    work->arc = self->arc;
-    work->ending = self->ending;
-    memcpy(work->ended, self->ended, sizeof work->ended);
-    memcpy(work->ended_forgetting, self->ended_forgetting, sizeof work->ended_forgetting);
-    work->checksum = self->copied_checksum;
-    work->config = self->config;
+    work->sums = self->sums;
 }
 
 int zygos_arm_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate)
@@ -1031,11 +863,10 @@ int zygos_arm_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate)
     if (!is_steady(self) || !is_intact(self)) {
         return ZYGOS_E_STATE;
     }
-    self->guard.adopting = 1;
-    settle(self);
-    self->dropped++; /* tasks were finished at once */
-    const bool adopted = zygos_guard_adopt(&self->guard, &self->config, &self->column_map, &self->accumulator,
-                                           &self->motor_sums, &self->momentum_sums, &self->joint_sums, estimate);
+    self->sums.guard.adopting = 1;
+    zygos_sums_settle(&self->sums);
+    self->sums.dropped++; /* tasks were finished at once */
+    const bool adopted = zygos_guard_adopt(&self->sums, estimate);
     self->moving = moving_of(self);
     return adopted ? 1 : 0;
 }
@@ -1048,14 +879,14 @@ int zygos_arm_check(const zygos_arm_t *self, const zygos_config_t *config, zygos
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    if (!zygos_is_same(&self->config, config, (uint32_t)sizeof *config)) {
+    if (!zygos_is_same(&self->sums.config, config, (uint32_t)sizeof *config)) {
         return ZYGOS_E_CONFIG;
     }
     if (!is_intact(self)) {
         return ZYGOS_E_STATE;
     }
     zygos_arm_take(self, work);
-    return zygos_work_intact(work) ? 1 : ZYGOS_E_SUMS;
+    return zygos_sums_end_copy(&work->sums) ? 1 : ZYGOS_E_SUMS;
 }
 
 /* Drops what has not ended: windows, integrals and open arcs. */
@@ -1066,14 +897,14 @@ static void drop_open(zygos_arm_t *self)
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
     zygos_momentum_reset(&self->momentum);
-    zygos_joint_reset(&self->joint, &self->config);
-    zygos_accumulator_drop_after(&self->accumulator, self->cycle);
-    zygos_motor_sums_drop_after(&self->motor_sums, self->cycle);
-    zygos_momentum_sums_drop_after(&self->momentum_sums, self->cycle);
-    zygos_joint_sums_drop_after(&self->joint_sums, self->cycle);
-    self->arc = 0;
+    zygos_joint_reset(&self->joint, &self->sums.config);
+    for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
+        zygos_sums_drop_waiting(&self->sums, kind);
+        zygos_sums_drop_after(&self->sums, kind, self->sums.cycle);
+    }
+    self->sums.ending = 0; /* without bits of other kinds, which memory may supply */
+    self->sums.arc = 0;
     self->instant = 0;
-    drop_all_waiting(self);
 }
 
 /* Indices and flags that change. Returns what was found. */
@@ -1090,8 +921,8 @@ static uint32_t scrub_places(zygos_arm_t *self)
         drop_open(self);
         found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
     }
-    if (!zygos_guard_intact(&self->guard)) {
-        zygos_guard_clear(&self->guard, false, self->cycle);
+    if (!zygos_guard_intact(&self->sums.guard)) {
+        zygos_guard_clear(&self->sums.guard, false, self->sums.cycle);
         found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
     }
     return found;
@@ -1099,12 +930,11 @@ static uint32_t scrub_places(zygos_arm_t *self)
 
 uint32_t zygos_arm_count_quarantined(zygos_arm_t *self)
 {
-    const uint32_t dropped = self->accumulator.quarantined + self->motor_sums.quarantined +
-                             self->momentum_sums.quarantined + self->joint_sums.quarantined;
-    self->accumulator.quarantined = 0;
-    self->motor_sums.quarantined = 0;
-    self->momentum_sums.quarantined = 0;
-    self->joint_sums.quarantined = 0;
+    const uint32_t dropped = zygos_sums_quarantined(&self->sums);
+    self->sums.energy.quarantined = 0;
+    self->sums.motors.store.quarantined = 0;
+    self->sums.momentum.store.quarantined = 0;
+    self->sums.joints.quarantined = 0;
     self->quarantined += dropped;
     return dropped;
 }
@@ -1114,27 +944,10 @@ bool zygos_arm_is_whole(const zygos_arm_t *self)
     return (self->magic == MAGIC) && is_steady(self) && is_intact(self);
 }
 
-/* The sums of each kind. Returns what was found. */
+/* Returns what was found. */
 static uint32_t scrub_sums(zygos_arm_t *self)
 {
-    uint32_t found = 0;
-    if (!zygos_accumulator_scrub(&self->accumulator, self->column_map.parameters)) {
-        zygos_accumulator_init(&self->accumulator, self->column_map.parameters, self->config.arc_cycles,
-                               self->config.period_s);
-        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
-    }
-    if (!zygos_motor_sums_scrub(&self->motor_sums, &self->config)) {
-        zygos_motor_sums_clear(&self->motor_sums, &self->config);
-        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
-    }
-    if (!zygos_momentum_sums_scrub(&self->momentum_sums, &self->config)) {
-        zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
-        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
-    }
-    if (!zygos_joint_sums_scrub(&self->joint_sums, &self->config, &self->column_map)) {
-        zygos_joint_sums_clear(&self->joint_sums);
-        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
-    }
+    const uint32_t found = (zygos_sums_scrub(&self->sums) > 0) ? (uint32_t)ZYGOS_SCRUBBED_SUMS : 0u;
     return found | ((zygos_arm_count_quarantined(self) > 0) ? (uint32_t)ZYGOS_SCRUBBED_BLOCKS : 0u);
 }
 
@@ -1142,14 +955,14 @@ static uint32_t scrub_sums(zygos_arm_t *self)
 static void drop_unverified(zygos_arm_t *self)
 {
     const uint64_t trusted = self->scrubbed;
-    zygos_accumulator_drop_after(&self->accumulator, trusted);
-    zygos_motor_sums_drop_after(&self->motor_sums, trusted);
-    zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
-    if (self->joint_sums.end > trusted) { /* segments cannot be taken out of a group */
-        zygos_joint_sums_clear(&self->joint_sums);
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        zygos_sums_drop_after(&self->sums, kind, trusted);
+    }
+    if (self->sums.joints.end > trusted) { /* segments cannot be taken out of a group */
+        zygos_joint_sums_clear(&self->sums.joints);
     }
     drop_open(self);
-    zygos_guard_clear(&self->guard, false, self->cycle);
+    zygos_guard_clear(&self->sums.guard, false, self->sums.cycle);
 }
 
 int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
@@ -1161,17 +974,17 @@ int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
     if ((off & (off - 1u)) != 0) {
         return ZYGOS_E_ORDER;
     }
-    if ((config == &self->config) || (zygos_config_check(config) < 0)) {
+    if ((config == &self->sums.config) || (zygos_config_check(config) < 0)) {
         return ZYGOS_E_CONFIG;
     }
     uint32_t found = (off != 0) ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
-    const uint64_t checksum = zygos_checksum_memory(0, &self->config, sizeof self->config);
-    if (!zygos_is_same(&self->config, config, (uint32_t)sizeof *config)) {
+    const uint64_t checksum = zygos_checksum_memory(0, &self->sums.config, sizeof self->sums.config);
+    if (!zygos_is_same(&self->sums.config, config, (uint32_t)sizeof *config)) {
         if ((self->config_checksum == checksum) ||
             (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config))) {
             return ZYGOS_E_CONFIG;
         }
-        self->config = *config;
+        self->sums.config = *config;
         zygos_receiver_resume(&self->receiver); /* what waits may lack joints that it did not name */
         found |= (uint32_t)ZYGOS_SCRUBBED_CONFIG;
     }
@@ -1187,20 +1000,15 @@ int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
         self->moving = unmoved ? moving_of(self) : self->moving;
     }
     const uint32_t rebuilt = found;
-    if ((self->accumulator.twin == zygos_accumulator_twin(&self->accumulator)) &&
-        zygos_accumulator_intact(&self->accumulator, self->column_map.parameters)) {
-        zygos_guard_settle_energy(&self->guard, &self->config, &self->accumulator);
-    }
-    if (zygos_motor_sums_intact(&self->motor_sums, &self->config)) {
-        zygos_guard_settle_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums);
-    }
-    if (zygos_momentum_sums_intact(&self->momentum_sums, &self->config)) {
-        zygos_guard_settle_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums);
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        if (zygos_sums_is_intact(&self->sums, kind, &self->sums.column_map)) {
+            zygos_guard_settle(&self->sums, kind);
+        }
     }
     const bool steady = is_steady(self);
     found |= steady ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
-    if (steady && (self->ending != 0)) {
-        settle(self);
+    if (steady && (self->sums.ending != 0)) {
+        zygos_sums_settle(&self->sums);
     }
     found |= scrub_sums(self);
     self->moving = unmoved ? moving_of(self) : self->moving;
@@ -1208,7 +1016,7 @@ int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
     if (rebuilt & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {
         drop_unverified(self);
     }
-    self->scrubbed = self->cycle;
+    self->scrubbed = self->sums.cycle;
     self->moving = moving_of(self);
     return (int)found;
 }
@@ -1221,13 +1029,13 @@ int zygos_arm_restart(zygos_arm_t *self, uint32_t keep)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    const int verdict = zygos_config_check(&self->config);
+    const int verdict = zygos_config_check(&self->sums.config);
     if (verdict < 0) {
         return verdict;
     }
     const uint32_t known = (uint32_t)ZYGOS_KEEP_FAULTS | (uint32_t)ZYGOS_KEEP_JOINTS;
     const bool joints = (keep & (uint32_t)ZYGOS_KEEP_JOINTS) != 0;
-    if (((keep & ~known) != 0) || (joints && (self->config.impulse_arc_cycles == 0))) {
+    if (((keep & ~known) != 0) || (joints && (self->sums.config.impulse_arc_cycles == 0))) {
         return ZYGOS_E_KEEP;
     }
     if ((keep & ZYGOS_KEEP_FAULTS) == 0) {
@@ -1240,34 +1048,31 @@ int zygos_arm_restart(zygos_arm_t *self, uint32_t keep)
     }
     (void)zygos_receiver_discard(&self->receiver);
     make_tables(self); /* memory may have been changed there */
-    self->scrubbed = self->cycle;
+    self->scrubbed = self->sums.cycle;
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
-    const bool kept = joints && zygos_motor_sums_intact(&self->motor_sums, &self->config);
-    if (kept) {
-        settle_motors(self); /* the other sums, which may be corrupt, are cleared */
-        end_waiting(self, (uint32_t)ZYGOS_MOTOR_ROWS);
-        settle_motors(self);
-        end_joint_arc(self, self->cycle);
-        settle_motors(self);
-    }
-    drop_all_waiting(self);
-    if (!kept) {
-        zygos_motor_sums_clear(&self->motor_sums, &self->config);
-        self->motors_forgetting = 1.0;
+    const uint32_t motors = (uint32_t)ZYGOS_MOTOR_ROWS;
+    const bool kept = joints && zygos_sums_is_intact(&self->sums, motors, &self->sums.column_map);
+    if (kept) { /* the other sums, which may be corrupt, are cleared */
+        zygos_guard_settle(&self->sums, motors);
+        zygos_sums_end_waiting(&self->sums, motors);
+        zygos_guard_settle(&self->sums, motors);
+        zygos_sums_end_arc(&self->sums, motors, self->sums.cycle);
+        zygos_guard_settle(&self->sums, motors);
     }
     zygos_momentum_reset(&self->momentum);
-    zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
-    self->momentum_forgetting = 1.0;
-    zygos_joint_reset(&self->joint, &self->config);
-    zygos_joint_sums_clear(&self->joint_sums);
-    self->joints_forgetting = 1.0;
-    self->forgetting = 1.0;
-    zygos_accumulator_init(&self->accumulator, self->column_map.parameters, self->config.arc_cycles,
-                           self->config.period_s);
-    zygos_guard_clear(&self->guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->cycle);
-    self->arc = 0;
+    zygos_joint_reset(&self->joint, &self->sums.config);
+    for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
+        if (!kept || (kind != motors)) {
+            zygos_sums_clear(&self->sums, kind);
+        }
+    }
+    zygos_guard_clear(&self->sums.guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->sums.cycle);
+    self->sums.arc = 0;
+    self->sums.ending = 0;
     self->instant = 0;
+    self->held = 0;
+    self->beside = 0;
     self->moving = moving_of(self);
     return 1;
 }

@@ -1,6 +1,7 @@
 #include "zygos/priv/guard.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/sums.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -11,6 +12,9 @@
 #define SIGMAS 6.0
 /* Divisor of the mean square of a random walk about its own mean, as in the solver. */
 #define WALK 10.0
+/* Parts of tasks with which those of an arc have ended, whatever memory says. */
+#define MOST_PARTS                                                                                                     \
+    (8u * ZYGOS_PASS_CYCLES * (uint32_t)(ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES))
 /* An arc counts as agreeing when a residual of this share of its spread would have contradicted. */
 #define INFORMATIVE 0.1
 
@@ -271,7 +275,7 @@ static void judge_arc(zygos_guard_t *self, const zygos_config_t *config, zygos_a
     bool informative = false;
     const bool contradicts = energy_contradicts(self, config, sums, &informative);
     double there = 0.0;
-    for (uint32_t r = 0; r < sums->open; r++) {
+    for (uint32_t r = 0; r < sums->closed; r++) {
         there += zygos_accumulator_instants(sums, r);
     }
     count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, informative, (double)sums->closing_instants, there,
@@ -279,14 +283,14 @@ static void judge_arc(zygos_guard_t *self, const zygos_config_t *config, zygos_a
     zygos_accumulator_judged_arc(sums, !contradicts);
 }
 
-void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
+static void proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
 {
     if (sums->task != (uint32_t)ZYGOS_TASK_JUDGE) {
         zygos_accumulator_proceed(sums);
         return;
     }
     const bool block = (sums->rank < sums->fresh);
-    if ((sums->rank == sums->open) && (sums->row == 0)) {
+    if ((sums->rank == sums->closed) && (sums->row == 0)) {
         begin_comparison(self, config, sums);
     }
     self->walk = (sums->row == 0) ? 0.0 : self->walk;
@@ -307,23 +311,6 @@ void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *confi
     } else if (end >= sums->width) {
         judge_arc(self, config, sums);
     }
-}
-
-void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
-{
-    const uint32_t most = 8u * ZYGOS_PASS_CYCLES * (uint32_t)ZYGOS_MAX_BLOCKS;
-    zygos_accumulator_share_out(sums);
-    for (uint32_t tries = 0; (tries < most) && zygos_accumulator_busy(sums); tries++) {
-        zygos_guard_proceed_energy(self, config, sums);
-    }
-}
-
-void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
-                            uint64_t cycle, uint32_t cycles)
-{
-    zygos_guard_settle_energy(self, config, sums);
-    (void)zygos_accumulator_close(sums, cycle, cycles);
-    zygos_guard_settle_energy(self, config, sums);
 }
 
 /* Places of the columns of the motor rows of a joint. Returns their number. */
@@ -362,65 +349,20 @@ static void add_motor_residuals(const zygos_guard_t *self, const zygos_config_t 
 static void judge_joint(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                         const zygos_motor_sums_t *sums)
 {
-    const uint32_t i = sums->joint;
-    const double n = sums->closing.instants[i];
-    if ((sums->column_map.count[i] == 0) || !(n > 0.0) || !(self->motor[i].residual > 0.0)) {
+    const uint32_t i = sums->store.part;
+    if (i >= config->joints) { /* no joint has motor rows */
+        return;
+    }
+    const zygos_motor_block_t *closing = &sums->block[sums->store.count % (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS];
+    const double n = closing->instants[i];
+    if (!(n > 0.0) || !(self->motor[i].residual > 0.0)) {
         return;
     }
     zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
-    add_motor_residuals(self, config, column_map, sums, &sums->closing, i, &found);
+    add_motor_residuals(self, config, column_map, sums, closing, i, &found);
     const double limit = limit_of(&found, &self->motor[i], n, 1.0);
     self->motor_informative |= (limit < INFORMATIVE * found.spread) ? 1u : 0u;
     self->motor_worst = (limit > 0.0) ? larger(self->motor_worst, found.residual / limit) : self->motor_worst;
-}
-
-bool zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                                zygos_motor_sums_t *sums)
-{
-    if (sums->task != (uint32_t)ZYGOS_MOTOR_JUDGE) {
-        const bool busy = (sums->task != (uint32_t)ZYGOS_MOTOR_NONE);
-        zygos_motor_sums_proceed(sums, config);
-        return busy;
-    }
-    if (sums->joint == 0) {
-        self->motor_worst = 0.0;
-        self->motor_informative = 0;
-        if (!has_running_solution(self, column_map->parameters)) {
-            zygos_motor_sums_judged(sums, true);
-            return true;
-        }
-    }
-    judge_joint(self, config, column_map, sums);
-    if (sums->joint + 1u < config->joints) {
-        sums->joint++;
-        return true;
-    }
-    double there = 0.0;
-    for (uint32_t b = 0; b < sums->count; b++) {
-        there += sums->block[b].fade * sums->block[b].total;
-    }
-    self->contradiction[ZYGOS_MOTOR_ROWS] = self->motor_worst;
-    count(self, config, (uint32_t)ZYGOS_MOTOR_ROWS, self->motor_worst > 1.0, self->motor_informative != 0,
-          sums->closing.total, there, sums->closing.end, sums->closing_cycles);
-    zygos_motor_sums_judged(sums, !(self->motor_worst > 1.0));
-    return true;
-}
-
-void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                               zygos_motor_sums_t *sums)
-{
-    const uint32_t most = 4u * (uint32_t)ZYGOS_MAX_JOINTS + 2u * (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS;
-    for (uint32_t tries = 0; (tries < most) && (sums->task != (uint32_t)ZYGOS_MOTOR_NONE); tries++) {
-        (void)zygos_guard_proceed_motors(self, config, column_map, sums);
-    }
-}
-
-void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                            zygos_motor_sums_t *sums, uint64_t cycle)
-{
-    zygos_guard_settle_motors(self, config, column_map, sums);
-    (void)zygos_motor_sums_close(sums, cycle);
-    zygos_guard_settle_motors(self, config, column_map, sums);
 }
 
 /* As many columns as there is room for, whatever memory says. */
@@ -468,75 +410,113 @@ static void add_momentum_residuals(const zygos_guard_t *self, const uint32_t *pl
     }
 }
 
-static void judge_momentum(zygos_guard_t *self, const zygos_config_t *config, zygos_momentum_sums_t *sums)
+/* Compares the next rows of the closing arc of momentum rows. Returns the row before which they end. */
+static uint32_t judge_momentum(zygos_guard_t *self, const zygos_column_map_t *column_map,
+                               const zygos_momentum_sums_t *sums)
 {
-    const double n = ZYGOS_MOMENTUM_CLOSING(sums).instants;
+    const zygos_store_t *store = &sums->store;
+    const uint32_t part = zygos_store_part(store, (uint32_t)ZYGOS_MOMENTUM_ROWS);
+    const uint32_t columns = momentum_columns(sums);
+    const uint32_t end = (part < columns) ? part : columns;
+    const zygos_momentum_block_t *closing = &sums->block[store->count % (uint32_t)ZYGOS_MOMENTUM_PLACES];
+    uint32_t place[ZYGOS_MAX_MOMENTUM];
+    momentum_places(column_map, sums, place);
+    add_momentum_residuals(self, place, store->row, end, sums->noise_arc[(store->parity & 1u) ^ 1u].gram,
+                           &self->momentum_noise);
+    add_momentum_residuals(self, place, store->row, end, closing->rows.gram, &self->momenta);
+    return end;
+}
+
+/* Whether the closing arc of momentum rows contradicts; informative: it could have. */
+static bool momentum_contradicts(zygos_guard_t *self, double n, bool *informative)
+{
     zygos_finding_t found = self->momenta;
     found.residual += self->momentum_noise.residual;
     found.expected = self->momentum_noise.residual;
     const double limit = limit_of(&found, &self->momentum, n, 1.0);
-    const bool contradicts = (limit > 0.0) && (found.residual > limit);
-    double there = 0.0;
-    for (uint32_t b = 0; b < sums->count; b++) {
-        there += sums->block[b].fade * sums->block[b].instants;
-    }
     self->contradiction[ZYGOS_MOMENTUM_ROWS] = (limit > 0.0) ? found.residual / limit : 0.0;
-    count(self, config, (uint32_t)ZYGOS_MOMENTUM_ROWS, contradicts, limit < INFORMATIVE * found.spread, n, there,
-          ZYGOS_MOMENTUM_CLOSING(sums).end, sums->closing_cycles);
-    zygos_momentum_sums_judged(sums, !contradicts);
+    *informative = (limit < INFORMATIVE * found.spread);
+    return (limit > 0.0) && (found.residual > limit);
 }
 
-bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,
-                                  const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums)
+/* Whether nothing of the closing arc was compared. The matrices of joints without motor rows are not. */
+static bool is_first_part(const zygos_sums_t *sums, const zygos_store_t *store)
 {
-    if (sums->task != (uint32_t)ZYGOS_MOMENTUM_JUDGE) {
-        const bool busy = (sums->task != (uint32_t)ZYGOS_MOMENTUM_NONE);
-        zygos_momentum_sums_proceed(sums, config);
-        return busy;
+    bool first = (store->row == 0);
+    for (uint32_t i = 0; (i < store->part) && (i < (uint32_t)ZYGOS_MAX_JOINTS); i++) {
+        first = first && (sums->motors.column_map.count[i] == 0);
     }
-    const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
-    if (sums->row == 0) {
-        self->momenta = none;
-        self->momentum_noise = none;
-        if (!has_running_solution(self, column_map->parameters) || !(self->momentum.residual > 0.0)) {
-            zygos_momentum_sums_judged(sums, true);
-            return true;
+    return first;
+}
+
+/* Motor or momentum rows, which are in such a store. */
+static void proceed_store(zygos_sums_t *sums, zygos_store_t *store, uint32_t kind)
+{
+    zygos_guard_t *self = &sums->guard;
+    const bool motors = (kind == (uint32_t)ZYGOS_MOTOR_ROWS);
+    if (store->task != ZYGOS_STORE_JUDGE) {
+        zygos_store_proceed(store, kind);
+        return;
+    }
+    if (is_first_part(sums, store)) {
+        const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
+        self->motor_worst = motors ? 0.0 : self->motor_worst;
+        self->motor_informative = motors ? 0u : self->motor_informative;
+        self->momenta = motors ? self->momenta : none;
+        self->momentum_noise = motors ? self->momentum_noise : none;
+        if (!has_running_solution(self, sums->column_map.parameters) || (!motors && !(self->momentum.residual > 0.0))) {
+            zygos_store_judged(store, kind, true);
+            return;
         }
     }
-    uint32_t place[ZYGOS_MAX_MOMENTUM];
-    momentum_places(column_map, sums, place);
-    const uint32_t part = zygos_momentum_sums_part(sums);
-    const uint32_t columns = momentum_columns(sums);
-    const uint32_t end = (part < columns) ? part : columns;
-    add_momentum_residuals(self, place, sums->row, end, ZYGOS_MOMENTUM_NOISE_CLOSING(sums).gram, &self->momentum_noise);
-    add_momentum_residuals(self, place, sums->row, end, ZYGOS_MOMENTUM_CLOSING(sums).rows.gram, &self->momenta);
-    sums->row = end;
-    if (end >= columns) {
-        judge_momentum(self, config, sums);
+    uint32_t end = ZYGOS_MAX_ANY_ROW;
+    if (motors) {
+        judge_joint(self, &sums->config, &sums->column_map, &sums->motors);
+    } else {
+        end = judge_momentum(self, &sums->column_map, &sums->momentum);
     }
-    return true;
+    if (zygos_store_judged_rows(store, kind, end)) {
+        return;
+    }
+    const zygos_block_head_t *closing = zygos_store_closing(store, kind);
+    bool informative = (self->motor_informative != 0);
+    bool contradicts = (self->motor_worst > 1.0);
+    if (motors) {
+        self->contradiction[ZYGOS_MOTOR_ROWS] = self->motor_worst;
+    } else {
+        contradicts = momentum_contradicts(self, closing->total, &informative);
+    }
+    count(self, &sums->config, kind, contradicts, informative, closing->total, zygos_store_instants(store, kind),
+          closing->end, store->closing_cycles);
+    zygos_store_judged(store, kind, !contradicts);
 }
 
-void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *config,
-                                 const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums)
+void zygos_guard_proceed(zygos_sums_t *sums, uint32_t kind)
 {
-    const uint32_t most = 8u * ZYGOS_MOMENTUM_PASS_CYCLES + 2u * (uint32_t)ZYGOS_MOMENTUM_PLACES;
-    for (uint32_t tries = 0; (tries < most) && (sums->task != (uint32_t)ZYGOS_MOMENTUM_NONE); tries++) {
-        (void)zygos_guard_proceed_momentum(self, config, column_map, sums);
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        proceed_energy(&sums->guard, &sums->config, &sums->energy);
+    } else {
+        proceed_store(sums, (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &sums->motors.store : &sums->momentum.store, kind);
     }
 }
 
-void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                              zygos_momentum_sums_t *sums, uint64_t cycle)
+void zygos_guard_settle(zygos_sums_t *sums, uint32_t kind)
 {
-    zygos_guard_settle_momentum(self, config, column_map, sums);
-    (void)zygos_momentum_sums_close(sums, cycle);
-    zygos_guard_settle_momentum(self, config, column_map, sums);
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        zygos_accumulator_share_out(&sums->energy);
+    }
+    for (uint32_t tries = 0; (tries < MOST_PARTS) && zygos_sums_is_busy(sums, kind); tries++) {
+        zygos_guard_proceed(sums, kind);
+    }
 }
 
-void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, zygos_joint_sums_t *sums, uint64_t cycle,
-                            double *forgetting)
+void zygos_guard_end_joints(zygos_sums_t *all)
 {
+    zygos_guard_t *self = &all->guard;
+    zygos_joint_sums_t *sums = &all->joints;
+    const zygos_config_t *config = &all->config;
+    double *forgetting = &all->forgetting[ZYGOS_JOINT_KIND];
+    const uint64_t cycle = all->cycle;
     const double rows = zygos_joint_sums_open_rows(sums, config);
     if (!(rows > 0.0)) {
         return;
@@ -569,15 +549,6 @@ void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, z
     }
 }
 
-void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_motor_sums_t *motors,
-                      zygos_momentum_sums_t *momentum, uint64_t cycle)
-{
-    self->left_out[ZYGOS_ENERGY_ROWS] += zygos_accumulator_drop_until(energy, cycle);
-    self->left_out[ZYGOS_MOTOR_ROWS] += zygos_motor_sums_drop_until(motors, cycle);
-    self->left_out[ZYGOS_MOMENTUM_ROWS] += zygos_momentum_sums_drop_until(momentum, cycle);
-    self->dropped = cycle;
-}
-
 static zygos_mean_squares_t mean_squares_of(const zygos_finding_t *found, double n)
 {
     zygos_mean_squares_t out = { 0.0, 0.0 };
@@ -593,7 +564,7 @@ static double spread_of_energy(const zygos_accumulator_t *sums)
 {
     double spread = 0.0;
     double n = 0.0;
-    for (uint32_t r = 0; r < sums->open; r++) {
+    for (uint32_t r = 0; r < sums->closed; r++) {
         const zygos_block_t *block = zygos_accumulator_at(sums, r);
         const double instants = zygos_accumulator_instants(sums, r);
         spread += (block->instants > 0.0)
@@ -627,22 +598,26 @@ static void activate(zygos_guard_t *self, uint32_t parameters)
 }
 
 /* Activates the running solution that was written (noise_ratio, cluster, energy.residual, solution, covariance). */
-static void begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                  const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
-                  const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints)
+static void begin(zygos_sums_t *sums)
 {
+    zygos_guard_t *self = &sums->guard;
+    const zygos_config_t *config = &sums->config;
+    const zygos_column_map_t *column_map = &sums->column_map;
+    const zygos_motor_sums_t *motors = &sums->motors;
+    const zygos_momentum_sums_t *momentum = &sums->momentum;
     double n = 0.0;
-    self->energy.spread = zygos_joint_sums_suffice(config) ? spread_of_joints(joints) : spread_of_energy(energy);
+    self->energy.spread =
+        zygos_joint_sums_suffice(config) ? spread_of_joints(&sums->joints) : spread_of_energy(&sums->energy);
     memset(self->motor, 0, sizeof self->motor);
     for (uint32_t i = 0; i < config->joints; i++) {
         zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
         n = 0.0;
-        for (uint32_t b = 0; (b < motors->count) && (motors->column_map.count[i] > 0); b++) {
+        for (uint32_t b = 0; (b < motors->store.count) && (motors->column_map.count[i] > 0); b++) {
             zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
             add_motor_residuals(self, config, column_map, motors, &motors->block[b], i, &block);
-            found.residual += motors->block[b].fade * block.residual;
-            found.spread += motors->block[b].fade * block.spread;
-            n += motors->block[b].fade * motors->block[b].instants[i];
+            found.residual += motors->block[b].head.fade * block.residual;
+            found.spread += motors->block[b].head.fade * block.spread;
+            n += motors->block[b].head.fade * motors->block[b].instants[i];
         }
         self->motor[i] = mean_squares_of(&found, n);
     }
@@ -651,18 +626,18 @@ static void begin(zygos_guard_t *self, const zygos_config_t *config, const zygos
     momentum_places(column_map, momentum, place);
     const uint32_t columns = momentum_columns(momentum);
     n = 0.0;
-    for (uint32_t b = 0; b < momentum->count; b++) {
+    for (uint32_t b = 0; b < momentum->store.count; b++) {
         zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
         add_momentum_residuals(self, place, 0, columns, momentum->block[b].rows.gram, &block);
-        found.residual += momentum->block[b].fade * block.residual;
-        found.spread += momentum->block[b].fade * block.spread;
-        n += momentum->block[b].fade * momentum->block[b].instants;
+        found.residual += momentum->block[b].head.fade * block.residual;
+        found.spread += momentum->block[b].head.fade * block.spread;
+        n += momentum->block[b].head.fade * momentum->block[b].head.total;
     }
     if (n > 0.0) {
         zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
         add_momentum_residuals(self, place, 0, columns, momentum->noise_closed.gram, &noise);
-        found.residual += momentum->noise_fade * noise.residual;
-        found.spread += momentum->noise_fade * noise.spread;
+        found.residual += momentum->store.noise_fade * noise.residual;
+        found.spread += momentum->store.noise_fade * noise.spread;
     }
     self->momentum = mean_squares_of(&found, n);
     activate(self, column_map->parameters);
@@ -674,11 +649,10 @@ static bool is_within(double x, double low, double high)
     return (x >= low) && (x <= high);
 }
 
-bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       zygos_accumulator_t *energy, zygos_motor_sums_t *motors, zygos_momentum_sums_t *momentum,
-                       const zygos_joint_sums_t *joints, const zygos_estimate_t *estimate)
+bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
 {
-    const uint32_t p = column_map->parameters;
+    zygos_guard_t *self = &sums->guard;
+    const uint32_t p = sums->column_map.parameters;
     const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
                               (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (self->known == 0);
     bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && (estimate->parameters == p) &&
@@ -692,7 +666,10 @@ bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const 
         return false;
     }
     if (estimate->since > 0) {
-        zygos_guard_drop(self, energy, motors, momentum, estimate->since);
+        for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+            self->left_out[kind] += zygos_sums_drop_until(sums, kind, estimate->since);
+        }
+        self->dropped = estimate->since;
     }
     const double ratio = estimate->noise_ratio;
     self->noise_ratio = is_within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
@@ -704,7 +681,7 @@ bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const 
             self->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
         }
     }
-    begin(self, config, column_map, energy, motors, momentum, joints);
+    begin(sums);
     return true;
 }
 

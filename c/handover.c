@@ -173,10 +173,10 @@ static void copy_quarter(const zygos_accumulator_t *from, zygos_accumulator_t *t
     }
 }
 
-static void cut_energy(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+static void cut_energy(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_accumulator_t *from = &arm->accumulator;
-    zygos_accumulator_t *to = &work->accumulator;
+    const zygos_accumulator_t *from = &sums->energy;
+    zygos_accumulator_t *to = &out->energy;
     uint32_t place[MOST_OPEN];
     memset(self->apart, 0, sizeof self->apart);
     copy(SPAN(to, from, zygos_accumulator_t, width, mean));
@@ -200,7 +200,7 @@ static void cut_energy(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wor
     if (from->noisy != 0) {
         COPY_SUMS(&from->noise_open[from->parity & 1u], &to->noise_open[from->parity & 1u], energy_width(from) - 1u);
     }
-    work->arc = arm->arc;
+    out->arc = sums->arc;
 }
 
 /* Whether rows of two buffers are added in the next cycle, beside which a block is not copied where it is large. */
@@ -215,10 +215,10 @@ static bool two_wait(const zygos_accumulator_t *from)
 
 /* What follows the cut: the other quarters of the open blocks, means and noise of the closing arc, noise of the closed
    ones, and block by block. Returns false behind the last unit. */
-static bool energy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+static bool energy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_accumulator_t *from = &arm->accumulator;
-    zygos_accumulator_t *to = &work->accumulator;
+    const zygos_accumulator_t *from = &sums->energy;
+    zygos_accumulator_t *to = &out->energy;
     const uint32_t width = energy_width(from);
     const uint32_t closing = (to->parity & 1u) ^ 1u;
     const uint32_t quarter = self->unit + 1u;
@@ -249,9 +249,15 @@ static bool energy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_wo
 
 /* ---------------------------------------------------------------- motor rows */
 
-static uint32_t joints_of(const zygos_arm_t *arm)
+static uint32_t joints_of(const zygos_sums_t *sums)
 {
-    return least(arm->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
+    return least(sums->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
+}
+
+/* Of closed arcs, and behind them that of the closing arc. */
+static uint32_t blocks_of(const zygos_store_t *sums)
+{
+    return sums->count + ((sums->closing_cycles > 0) ? 1u : 0u);
 }
 
 static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t *to, uint32_t joints)
@@ -260,27 +266,27 @@ static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t
     copy(REST(to, from, zygos_motor_block_t, instants));
 }
 
-static void cut_motors(const zygos_arm_t *arm, zygos_work_t *work)
+static void cut_motors(const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_motor_sums_t *from = &arm->motor_sums;
-    zygos_motor_sums_t *to = &work->motor_sums;
-    copy(SPAN(to, from, zygos_motor_sums_t, count, open));
-    cut_motor_block(&from->open, &to->open, joints_of(arm));
+    const zygos_motor_sums_t *from = &sums->motors;
+    zygos_motor_sums_t *to = &out->motors;
+    copy(SPAN(&to->store, &from->store, zygos_store_t, count, scan));
+    cut_motor_block(&from->open, &to->open, joints_of(sums));
 }
 
-/* The tables with the closing arc, then block by block. */
-static bool motor_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+/* The tables, then block by block, the closing arc last. */
+static bool motor_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_motor_sums_t *from = &arm->motor_sums;
-    zygos_motor_sums_t *to = &work->motor_sums;
-    const uint32_t joints = joints_of(arm);
+    const zygos_motor_sums_t *from = &sums->motors;
+    zygos_motor_sums_t *to = &out->motors;
+    const uint32_t joints = joints_of(sums);
     if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_motor_sums_t, column_map, count));
-        cut_motor_block(&from->closing, &to->closing, joints);
+        copy(SPAN(to, from, zygos_motor_sums_t, column_map, open));
+        to->store.scan = from->store.scan;
         return true;
     }
     const uint32_t b = self->unit - 1u;
-    if (b >= least(to->count, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
+    if (b >= least(blocks_of(&to->store), (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
         return false;
     }
     cut_motor_block(&from->block[b], &to->block[b], joints);
@@ -294,28 +300,29 @@ static uint32_t momentum_width(const zygos_momentum_sums_t *from)
     return least(from->columns + 3u, (uint32_t)ZYGOS_MAX_MOMENTUM_ROW);
 }
 
-static void cut_momentum(const zygos_arm_t *arm, zygos_work_t *work)
+static void cut_momentum(const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_momentum_sums_t *from = &arm->momentum_sums;
-    zygos_momentum_sums_t *to = &work->momentum_sums;
+    const zygos_momentum_sums_t *from = &sums->momentum;
+    zygos_momentum_sums_t *to = &out->momentum;
     const uint32_t width = momentum_width(from);
-    const uint32_t open = from->parity & 1u;
+    const uint32_t open = from->store.parity & 1u;
+    copy(SPAN(&to->store, &from->store, zygos_store_t, count, scan));
     copy(SPAN(to, from, zygos_momentum_sums_t, columns, deviation));
     COPY_SUMS(&from->noise_arc[open], &to->noise_arc[open], width);
-    COPY_SUMS(&from->arc.rows, &to->arc.rows, width);
-    copy(REST(&to->arc, &from->arc, zygos_momentum_block_t, instants));
+    COPY_SUMS(&from->open.rows, &to->open.rows, width);
+    to->open.head = from->open.head;
 }
 
 /* The tables with the noise of the closing arc, that of the closed ones, then block by block, the closing arc last. */
-static bool momentum_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+static bool momentum_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_momentum_sums_t *from = &arm->momentum_sums;
-    zygos_momentum_sums_t *to = &work->momentum_sums;
+    const zygos_momentum_sums_t *from = &sums->momentum;
+    zygos_momentum_sums_t *to = &out->momentum;
     const uint32_t width = momentum_width(from);
-    const uint32_t closing = (to->parity & 1u) ^ 1u;
+    const uint32_t closing = (to->store.parity & 1u) ^ 1u;
     if (self->unit == 0) {
         copy(SPAN(to, from, zygos_momentum_sums_t, deviation, noise_arc));
-        to->scan = from->scan;
+        to->store.scan = from->store.scan;
         COPY_SUMS(&from->noise_arc[closing], &to->noise_arc[closing], width);
         return true;
     }
@@ -324,11 +331,11 @@ static bool momentum_unit(const zygos_handover_t *self, const zygos_arm_t *arm, 
         return true;
     }
     const uint32_t b = self->unit - 2u;
-    if ((from->columns == 0) || (b > least(to->count, (uint32_t)ZYGOS_MOMENTUM_PLACES - 1u))) {
+    if ((from->columns == 0) || (b >= least(blocks_of(&to->store), (uint32_t)ZYGOS_MOMENTUM_PLACES))) {
         return false;
     }
     COPY_SUMS(&from->block[b].rows, &to->block[b].rows, width);
-    copy(REST(&to->block[b], &from->block[b], zygos_momentum_block_t, instants));
+    to->block[b].head = from->block[b].head;
     return true;
 }
 
@@ -359,12 +366,11 @@ static bool suits_joints(const zygos_joint_sums_t *from)
     return from->adding == 0;
 }
 
-static void cut_joints(const zygos_arm_t *arm, zygos_work_t *work)
+static void cut_joints(const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_joint_sums_t *from = &arm->joint_sums;
-    zygos_joint_sums_t *to = &work->joint_sums;
+    const zygos_joint_sums_t *from = &sums->joints;
+    zygos_joint_sums_t *to = &out->joints;
     copy(SPAN(to, from, zygos_joint_sums_t, width, weight));
-    work->joints_forgetting = arm->joints_forgetting;
     if (from->width == 0) {
         return;
     }
@@ -384,10 +390,10 @@ static void cut_joints(const zygos_arm_t *arm, zygos_work_t *work)
 }
 
 /* The tables with noise and joints' sums, then group by group; the cut has copied what a segment is added to. */
-static bool joint_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+static bool joint_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_joint_sums_t *from = &arm->joint_sums;
-    zygos_joint_sums_t *to = &work->joint_sums;
+    const zygos_joint_sums_t *from = &sums->joints;
+    zygos_joint_sums_t *to = &out->joints;
     if ((from->width == 0) || (self->unit > 1u + (uint32_t)ZYGOS_SET_ASIDE)) {
         return false;
     }
@@ -406,22 +412,22 @@ static bool joint_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zyg
 
 /* ---------------------------------------------------------------- running solution */
 
-static void cut_guard(const zygos_arm_t *arm, zygos_work_t *work)
+static void cut_guard(const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    copy(SPAN(&work->guard, &arm->guard, zygos_guard_t, known, checksum));
-    work->cycle = arm->cycle;
-    work->checksum = arm->copied_checksum;
+    copy(SPAN(&out->guard, &sums->guard, zygos_guard_t, known, checksum));
+    out->cycle = sums->cycle;
+    out->checksum = sums->checksum;
 }
 
-static bool guard_unit(const zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+static bool guard_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_guard_t *from = &arm->guard;
+    const zygos_guard_t *from = &sums->guard;
     const uint32_t p = least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
     if (self->unit > 0) {
         return false;
     }
-    copy(SPAN(&work->guard, from, zygos_guard_t, checksum, covariance));
-    copy(piece(work->guard.covariance, from->covariance, zygos_gram_entries(p)));
+    copy(SPAN(&out->guard, from, zygos_guard_t, checksum, covariance));
+    copy(piece(out->guard.covariance, from->covariance, zygos_gram_entries(p)));
     return true;
 }
 
@@ -435,20 +441,21 @@ static bool has_time(uint32_t units, uint32_t done, uint32_t longest)
     return (longest < 2u * cycles) || (done + cycles < longest);
 }
 
-static bool suits(const zygos_arm_t *arm, uint32_t kind)
+static bool suits(const zygos_sums_t *sums, uint32_t kind)
 {
-    const zygos_config_t *config = &arm->config;
+    const zygos_config_t *config = &sums->config;
     if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        return suits_energy(&arm->accumulator) &&
-               has_time(arm->accumulator.count + 2u + ZYGOS_HANDOVER_QUARTERS, arm->arc, config->arc_cycles);
+        return suits_energy(&sums->energy) &&
+               has_time(sums->energy.count + 2u + ZYGOS_HANDOVER_QUARTERS, sums->arc, config->arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        return has_time(arm->motor_sums.count + 1u, arm->motor_sums.cycles, config->impulse_arc_cycles);
+        return has_time(blocks_of(&sums->motors.store) + 1u, sums->motors.store.cycles, config->impulse_arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        return has_time(arm->momentum_sums.count + 3u, arm->momentum_sums.cycles, config->momentum_arc_cycles);
+        return has_time(blocks_of(&sums->momentum.store) + 2u, sums->momentum.store.cycles,
+                        config->momentum_arc_cycles);
     }
-    return (kind != ZYGOS_JOINT_KIND) || suits_joints(&arm->joint_sums);
+    return (kind != ZYGOS_JOINT_KIND) || suits_joints(&sums->joints);
 }
 
 /* Zero of what is zero. */
@@ -477,56 +484,59 @@ uint32_t zygos_handover_held(const zygos_handover_t *self)
 }
 
 /* An arc that waits for its end is one of the open rows, too. */
-static void cut_ending(const zygos_arm_t *arm, zygos_work_t *work, uint32_t kind)
+static void cut_ending(const zygos_sums_t *sums, zygos_sums_t *out, uint32_t kind)
 {
     const uint32_t bit = 1u << kind;
-    work->ending = (work->ending & ~bit) | (arm->ending & bit);
-    work->ended[kind] = arm->ended[kind];
-    work->ended_forgetting[kind] = arm->ended_forgetting[kind];
+    out->ending = (out->ending & ~bit) | (sums->ending & bit);
+    out->ended[kind] = sums->ended[kind];
+    out->ended_forgetting[kind] = sums->ended_forgetting[kind];
 }
 
-static void cut(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+static void cut(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
     switch (self->kind) {
     case ZYGOS_ENERGY_ROWS:
-        cut_energy(self, arm, work);
+        cut_energy(self, sums, out);
         break;
     case ZYGOS_MOTOR_ROWS:
-        cut_motors(arm, work);
+        cut_motors(sums, out);
         break;
     case ZYGOS_MOMENTUM_ROWS:
-        cut_momentum(arm, work);
+        cut_momentum(sums, out);
         break;
     case ZYGOS_JOINT_KIND:
-        cut_joints(arm, work);
+        cut_joints(sums, out);
         break;
     default:
-        cut_guard(arm, work);
+        cut_guard(sums, out);
         break;
     }
     if (self->kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) {
-        cut_ending(arm, work, self->kind);
+        cut_ending(sums, out, self->kind);
+    }
+    if (self->kind < ZYGOS_KINDS_OF_SUMS) {
+        out->forgetting[self->kind] = sums->forgetting[self->kind];
     }
     self->cut = 1;
     self->waited = 0;
     self->unit = 0;
-    self->dropped = arm->dropped;
+    self->dropped = sums->dropped;
 }
 
 /* Copies the next unit of what follows the cut. Returns false where there is none. */
-static bool copy_unit(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+static bool copy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
     switch (self->kind) {
     case ZYGOS_ENERGY_ROWS:
-        return energy_unit(self, arm, work);
+        return energy_unit(self, sums, out);
     case ZYGOS_MOTOR_ROWS:
-        return motor_unit(self, arm, work);
+        return motor_unit(self, sums, out);
     case ZYGOS_MOMENTUM_ROWS:
-        return momentum_unit(self, arm, work);
+        return momentum_unit(self, sums, out);
     case ZYGOS_JOINT_KIND:
-        return joint_unit(self, arm, work);
+        return joint_unit(self, sums, out);
     default:
-        return guard_unit(self, arm, work);
+        return guard_unit(self, sums, out);
     }
 }
 
@@ -542,7 +552,7 @@ static bool is_disturbed_energy(const zygos_handover_t *self, const zygos_accumu
 {
     const bool may_end = has_open_blocks(self, to);
     const uint32_t needed = may_end ? to->fresh : to->count;
-    bool disturbed = (from->open != to->open) || (!may_end && (from->fresh != to->fresh)) || (from->count < needed);
+    bool disturbed = (from->closed != to->closed) || (!may_end && (from->fresh != to->fresh)) || (from->count < needed);
     for (uint32_t r = 0; (r < needed) && (r < (uint32_t)ZYGOS_MAX_BLOCKS); r++) {
         disturbed = disturbed || (from->order[r] != to->order[r]);
     }
@@ -551,12 +561,11 @@ static bool is_disturbed_energy(const zygos_handover_t *self, const zygos_accumu
 
 /* Whether something that was to rest has changed since the cut: sums were dropped, or, where there was no block for the
    open arc, blocks were merged at once; a segment of joint rows has ended. */
-static bool is_disturbed(const zygos_handover_t *self, const zygos_arm_t *arm, const zygos_work_t *work)
+static bool is_disturbed(const zygos_handover_t *self, const zygos_sums_t *sums, const zygos_sums_t *out)
 {
-    return (arm->dropped != self->dropped) ||
-           ((self->kind == (uint32_t)ZYGOS_ENERGY_ROWS) &&
-            is_disturbed_energy(self, &arm->accumulator, &work->accumulator)) ||
-           ((self->kind == ZYGOS_JOINT_KIND) && (arm->joint_sums.end != work->joint_sums.end));
+    return (sums->dropped != self->dropped) ||
+           ((self->kind == (uint32_t)ZYGOS_ENERGY_ROWS) && is_disturbed_energy(self, &sums->energy, &out->energy)) ||
+           ((self->kind == ZYGOS_JOINT_KIND) && (sums->joints.end != out->joints.end));
 }
 
 static void next_kind(zygos_handover_t *self)
@@ -568,30 +577,30 @@ static void next_kind(zygos_handover_t *self)
 }
 
 /* Returns whether all is copied. */
-static bool proceed(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+static bool proceed(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
     if (self->kind >= ZYGOS_HANDOVER_KINDS) {
         return true;
     }
-    if ((self->cut != 0) && is_disturbed(self, arm, work)) {
+    if ((self->cut != 0) && is_disturbed(self, sums, out)) {
         self->cut = 0;
         self->waited = 0;
         self->tries++;
     }
     const bool at_once = (self->tries >= ZYGOS_HANDOVER_TRIES);
     if (self->cut == 0) {
-        if (!suits(arm, self->kind) && (self->waited < ZYGOS_HANDOVER_PATIENCE) && !at_once) {
+        if (!suits(sums, self->kind) && (self->waited < ZYGOS_HANDOVER_PATIENCE) && !at_once) {
             self->waited++;
             return false;
         }
-        cut(self, arm, work);
+        cut(self, sums, out);
         if (!at_once) {
             return false;
         }
     }
-    bool more = copy_unit(self, arm, work);
+    bool more = copy_unit(self, sums, out);
     for (self->unit++; at_once && more; self->unit++) {
-        more = copy_unit(self, arm, work);
+        more = copy_unit(self, sums, out);
     }
     if (!more) {
         next_kind(self);
@@ -599,12 +608,12 @@ static bool proceed(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t
     return self->kind >= ZYGOS_HANDOVER_KINDS;
 }
 
-bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work)
+bool zygos_handover_part(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
     if (self->fold != fold_of(self)) {
         zygos_handover_begin(self);
     }
-    const bool done = proceed(self, arm, work);
+    const bool done = proceed(self, sums, out);
     self->fold = fold_of(self);
     return done;
 }

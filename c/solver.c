@@ -135,14 +135,14 @@ static double form(const double *packed, const double *x, uint32_t p)
 /* The standard deviation of the error of the torque sensor that gain g (from 0) is of. */
 static double gain_sigma(const zygos_solver_t *work, uint32_t g)
 {
-    const zygos_config_t *config = work->config;
+    const zygos_config_t *config = &work->sums->config;
     return config->joint[config->effect[config->effects - work->gains + g].joint].torque_gain_sigma;
 }
 
 /* What all entries of the prior of the gains have in common, which every factorisation needs. */
 static void prepare_prior(zygos_solver_t *work)
 {
-    const double reference = zygos_effects_reference_sigma(work->config);
+    const double reference = zygos_effects_reference_sigma(&work->sums->config);
     double all = 0.0;
     for (uint32_t g = 0; g < work->gains; g++) {
         const double sigma = gain_sigma(work, g);
@@ -213,7 +213,7 @@ static void scaled_equations(zygos_solver_t *work, uint32_t p, const zygos_block
 /* Where column c of the motor row of joint i stands; behind the last of them the right side. */
 static uint32_t place_of(const zygos_solver_t *work, uint32_t i, uint32_t c)
 {
-    const zygos_impulse_column_map_t *motor = &work->motor_sums->column_map;
+    const zygos_impulse_column_map_t *motor = &work->sums->motors.column_map;
     const zygos_column_map_t *column_map = &work->column_map;
     if (c < 3u) {
         return column_map->place[column_map->joint[i] + c];
@@ -224,7 +224,7 @@ static uint32_t place_of(const zygos_solver_t *work, uint32_t i, uint32_t c)
 /* out += factor times a packed matrix of joint i; sides: its right side as well. */
 static void embed(const zygos_solver_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
 {
-    const uint32_t count = work->motor_sums->column_map.count[i];
+    const uint32_t count = work->sums->motors.column_map.count[i];
     for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
         const uint32_t place_a = place_of(work, i, a);
         for (uint32_t b = 0; b <= a; b++) {
@@ -239,8 +239,8 @@ static void embed(const zygos_solver_t *work, uint32_t i, const double *local, d
 static void scaled_without_arc(zygos_solver_t *work, uint32_t p, const zygos_motor_block_t *arc)
 {
     scaled_equations(work, p, NULL, work->noise_scale);
-    for (uint32_t i = 0; i < work->config->joints; i++) {
-        const uint32_t count = work->motor_sums->column_map.count[i];
+    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
+        const uint32_t count = work->sums->motors.column_map.count[i];
         for (uint32_t a = 0; (a <= count) && (count > 0); a++) {
             const uint32_t place_a = place_of(work, i, a);
             for (uint32_t b = 0; (b <= a) && (b < count); b++) {
@@ -268,7 +268,7 @@ static uint32_t momentum_place(const zygos_solver_t *work, uint32_t c)
 static void embed_momentum(const zygos_solver_t *work, const double *local, double factor, const double *scale,
                            double *out)
 {
-    for (uint32_t a = 0; a < work->momentum_sums->columns; a++) {
+    for (uint32_t a = 0; a < work->sums->momentum.columns; a++) {
         const uint32_t place_a = momentum_place(work, a);
         for (uint32_t b = 0; (b <= a) && (place_a != ZYGOS_NO_PLACE); b++) {
             const uint32_t place_b = momentum_place(work, b);
@@ -291,7 +291,7 @@ static void scaled_without_momentum(zygos_solver_t *work, uint32_t p, const zygo
 /* The factor of a group of joint rows in the total. */
 static double group_factor(const zygos_solver_t *work, uint32_t g)
 {
-    return work->joints_weight * work->joint_sums->group[g].fade;
+    return work->joints_weight * work->sums->joints.group[g].fade;
 }
 
 /* out += factor times the matrix of a group of joint rows and its right side. */
@@ -305,11 +305,11 @@ static void embed_joints(const double *local, double factor, uint32_t p, double 
 /* The scaled equations without a group of the joint rows. */
 static void scaled_without_group(zygos_solver_t *work, uint32_t p, uint32_t g)
 {
-    const double *gram = work->joint_sums->group[g].rows.gram;
+    const double *gram = work->sums->joints.group[g].rows.gram;
     const double factor = group_factor(work, g);
     const double rows = work->joints_alone ? work->instants : 1.0;
     const double part =
-        work->joints_alone ? work->joint_sums->group[g].fade * work->joint_sums->group[g].count / rows : 0.0;
+        work->joints_alone ? work->sums->joints.group[g].fade * work->sums->joints.group[g].count / rows : 0.0;
     scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i <= p; i++) {
         for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
@@ -409,7 +409,7 @@ static double student(double degrees_of_freedom)
 /* The score of a block: its right side less its matrix times the solution, scaled. */
 static void score(const zygos_solver_t *work, uint32_t p, const zygos_block_t *block, double *out)
 {
-    const double *declared = work->accumulator->noise_closed.gram;
+    const double *declared = work->sums->energy.noise_closed.gram;
     const double back = (1.0 - work->noise_scale) * work->noise_fraction * block->instants / work->instants;
     for (uint32_t i = 0; i < p; i++) {
         double sum = block->gram[at(p, i)] + back * declared[at(p, i)];
@@ -424,8 +424,8 @@ static void score(const zygos_solver_t *work, uint32_t p, const zygos_block_t *b
 static void score_of_arc(const zygos_solver_t *work, uint32_t p, const zygos_motor_block_t *arc, double *out)
 {
     memset(out, 0, p * sizeof out[0]);
-    for (uint32_t i = 0; i < work->config->joints; i++) {
-        const uint32_t count = work->motor_sums->column_map.count[i];
+    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
+        const uint32_t count = work->sums->motors.column_map.count[i];
         const double *gram = arc->joint[i].gram;
         for (uint32_t a = 0; a < count; a++) {
             const uint32_t place = place_of(work, i, a);
@@ -440,7 +440,7 @@ static void score_of_arc(const zygos_solver_t *work, uint32_t p, const zygos_mot
 
 static void score_of_momentum(const zygos_solver_t *work, uint32_t p, const zygos_momentum_block_t *arc, double *out)
 {
-    const uint32_t count = work->momentum_sums->columns;
+    const uint32_t count = work->sums->momentum.columns;
     memset(out, 0, p * sizeof out[0]);
     for (uint32_t a = 0; a < count; a++) {
         const uint32_t place = momentum_place(work, a);
@@ -458,7 +458,7 @@ static void score_of_momentum(const zygos_solver_t *work, uint32_t p, const zygo
 /* The same of a group of joint rows. */
 static void score_of_group(const zygos_solver_t *work, uint32_t p, uint32_t g, double *out)
 {
-    const double *gram = work->joint_sums->group[g].rows.gram;
+    const double *gram = work->sums->joints.group[g].rows.gram;
     for (uint32_t i = 0; i < p; i++) {
         double sum = gram[at(p, i)];
         for (uint32_t j = 0; j < p; j++) {
@@ -513,8 +513,8 @@ static parts_t parts_of(const zygos_solver_t *work)
     out.momenta = out.motors + (work->momenta.end - work->momenta.first);
     out.all = out.momenta + ((work->joints_weight > 0.0) ? (uint32_t)ZYGOS_GROUP_PLACES : 0u);
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        instants += zygos_accumulator_at(work->accumulator, b)->instants;
-        square += zygos_accumulator_at(work->accumulator, b)->square;
+        instants += zygos_accumulator_at(&work->sums->energy, b)->instants;
+        square += zygos_accumulator_at(&work->sums->energy, b)->square;
     }
     out.factor = (square > 0.0) ? instants / square : 1.0;
     return out;
@@ -524,11 +524,11 @@ static parts_t parts_of(const zygos_solver_t *work)
 static void scaled_without(zygos_solver_t *work, uint32_t p, const parts_t *parts, uint32_t b)
 {
     if (b < parts->energy) {
-        scaled_equations(work, p, zygos_accumulator_at(work->accumulator, work->blocks.first + b), work->noise_scale);
+        scaled_equations(work, p, zygos_accumulator_at(&work->sums->energy, work->blocks.first + b), work->noise_scale);
     } else if (b < parts->motors) {
-        scaled_without_arc(work, p, &work->motor_sums->block[work->arcs.first + b - parts->energy]);
+        scaled_without_arc(work, p, &work->sums->motors.block[work->arcs.first + b - parts->energy]);
     } else if (b < parts->momenta) {
-        scaled_without_momentum(work, p, &work->momentum_sums->block[work->momenta.first + b - parts->motors]);
+        scaled_without_momentum(work, p, &work->sums->momentum.block[work->momenta.first + b - parts->motors]);
     } else {
         scaled_without_group(work, p, b - parts->momenta);
     }
@@ -539,11 +539,11 @@ static void scaled_without(zygos_solver_t *work, uint32_t p, const parts_t *part
 static double influence(zygos_solver_t *work, uint32_t p, uint32_t rank, const parts_t *parts, uint32_t b)
 {
     if (b < parts->energy) {
-        score(work, p, zygos_accumulator_at(work->accumulator, work->blocks.first + b), work->right_side);
+        score(work, p, zygos_accumulator_at(&work->sums->energy, work->blocks.first + b), work->right_side);
     } else if (b < parts->motors) {
-        score_of_arc(work, p, &work->motor_sums->block[work->arcs.first + b - parts->energy], work->right_side);
+        score_of_arc(work, p, &work->sums->motors.block[work->arcs.first + b - parts->energy], work->right_side);
     } else if (b < parts->momenta) {
-        score_of_momentum(work, p, &work->momentum_sums->block[work->momenta.first + b - parts->motors],
+        score_of_momentum(work, p, &work->sums->momentum.block[work->momenta.first + b - parts->motors],
                           work->right_side);
     } else {
         score_of_group(work, p, b - parts->momenta, work->right_side);
@@ -649,17 +649,17 @@ static void measure_columns(const zygos_solver_t *work, const double *x, double 
     for (uint32_t k = 0; k < column_map->body; k++) {
         if (k >= column_map->kinetic) {
             moment = (magnitude(x[k]) > moment) ? magnitude(x[k]) : moment;
-        } else if (!pair_of(work->config, k, &a, &b) && (a == b)) {
+        } else if (!pair_of(&work->sums->config, k, &a, &b) && (a == b)) {
             diagonal[a] = magnitude(x[k]);
         }
     }
-    if ((work->config->kinetic == ZYGOS_SPATIAL_ARM) && (work->config->base == ZYGOS_BASE_FIXED)) {
+    if ((work->sums->config.kinetic == ZYGOS_SPATIAL_ARM) && (work->sums->config.base == ZYGOS_BASE_FIXED)) {
         diagonal[1] = diagonal[0];
     }
     for (uint32_t k = 0; k < column_map->count; k++) {
         size[k] = (k < column_map->body) ? moment : 0.0;
         if (k < column_map->kinetic) {
-            (void)pair_of(work->config, k, &a, &b);
+            (void)pair_of(&work->sums->config, k, &a, &b);
             size[k] = root(diagonal[a] * diagonal[b]);
         }
         size[k] = (size[k] > magnitude(x[k])) ? size[k] : magnitude(x[k]);
@@ -670,7 +670,7 @@ static void measure_columns(const zygos_solver_t *work, const double *x, double 
    size. It is at least the parameter itself. */
 static void measure(zygos_solver_t *work)
 {
-    const zygos_config_t *config = work->config;
+    const zygos_config_t *config = &work->sums->config;
     double columns[ZYGOS_MAX_COLUMNS];
     double size[ZYGOS_MAX_COLUMNS];
     zygos_expand(config, &work->column_map, work->solution, columns);
@@ -698,7 +698,7 @@ static void measure(zygos_solver_t *work)
  */
 static void subtract_rotors(const zygos_solver_t *work, double *m, uint32_t size)
 {
-    const zygos_config_t *config = work->config;
+    const zygos_config_t *config = &work->sums->config;
     const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
     const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? (space ? 3u : 2u) : 0u;
     zygos_geometry_t geometry;
@@ -739,7 +739,7 @@ static void subtract_rotors(const zygos_solver_t *work, double *m, uint32_t size
    The order of the directions is reversed: of the last two on a fixed base only the sum of the diagonal is known. */
 static bool positive_definite(zygos_solver_t *work, const double *sigma)
 {
-    const zygos_config_t *config = work->config;
+    const zygos_config_t *config = &work->sums->config;
     const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
     const bool free = (config->base == ZYGOS_BASE_FREE);
     const uint32_t size = 2u * config->joints + (free ? (space ? 3u : 2u) : 0u);
@@ -793,11 +793,11 @@ static bool bodies_physical(zygos_solver_t *work, const zygos_estimate_t *out)
     for (uint32_t k = 0; k < column_map->kinetic; k++) {
         uint32_t a = 0;
         uint32_t b = 0;
-        const bool cross = pair_of(work->config, k, &a, &b);
+        const bool cross = pair_of(&work->sums->config, k, &a, &b);
         all = all && out->identifiable[k];
         good = good && (cross || (a != b) || !out->identifiable[k] || (out->value[k] > 0.0));
     }
-    for (uint32_t i = 0; i < work->config->joints; i++) {
+    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
         const uint32_t k = column_map->joint[i];
         all = all && (!column_map->rotor[i] || out->identifiable[k]);
         good = good && (!column_map->rotor[i] || !out->identifiable[k] || (out->value[k] > 0.0));
@@ -810,10 +810,10 @@ static bool bodies_physical(zygos_solver_t *work, const zygos_estimate_t *out)
 static bool physical(zygos_solver_t *work, const zygos_estimate_t *out)
 {
     const zygos_column_map_t *column_map = &work->column_map;
-    const uint32_t positive = zygos_effects_positive(work->config);
+    const uint32_t positive = zygos_effects_positive(&work->sums->config);
     bool good = true;
-    for (uint32_t i = 0; i < work->config->joints; i++) {
-        for (uint32_t c = 0; (c < 3u) && (work->config->joint[i].rigid == 0); c++) {
+    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
+        for (uint32_t c = 0; (c < 3u) && (work->sums->config.joint[i].rigid == 0); c++) {
             const uint32_t k = column_map->place[column_map->joint[i] + c];
             good = good && (!out->identifiable[k] || (out->value[k] > 0.0));
         }
@@ -915,11 +915,11 @@ static uint32_t solve_with(zygos_solver_t *work, uint32_t p, uint32_t most, doub
 static double momentum_form(const zygos_solver_t *work, const zygos_momentum_gram_t *rows, const double *x)
 {
     double local[ZYGOS_MAX_MOMENTUM];
-    for (uint32_t a = 0; a < work->momentum_sums->columns; a++) {
+    for (uint32_t a = 0; a < work->sums->momentum.columns; a++) {
         const uint32_t place = momentum_place(work, a);
         local[a] = (place != ZYGOS_NO_PLACE) ? x[place] : 0.0;
     }
-    return form(rows->gram, local, work->momentum_sums->columns);
+    return form(rows->gram, local, work->sums->momentum.columns);
 }
 
 /* The squared residuals of the energy rows for x, including noise, and the part of the declared noise in them [J^2]; or
@@ -930,26 +930,26 @@ static double energy_left(const zygos_solver_t *work, uint32_t p, const double *
     if (work->joints_alone) {
         *explained = form(work->noise, x, p);
         left += *explained;
-        *explained += work->instants * zygos_joint_sums_torque_noise(work->joint_sums, work->config);
+        *explained += work->instants * zygos_joint_sums_torque_noise(&work->sums->joints, &work->sums->config);
         return (left > 0.0) ? left : 0.0;
     }
     for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (work->joints_weight > 0.0); g++) {
-        left -= group_factor(work, g) * form(work->joint_sums->group[g].rows.gram, x, p);
+        left -= group_factor(work, g) * form(work->sums->joints.group[g].rows.gram, x, p);
     }
-    for (uint32_t i = 0; i < work->config->joints; i++) {
-        const uint32_t count = work->motor_sums->column_map.count[i];
+    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
+        const uint32_t count = work->sums->motors.column_map.count[i];
         double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
         for (uint32_t a = 0; a < count; a++) {
             local[a] = x[place_of(work, i, a)];
         }
         for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (count > 0); b++) {
-            left -= work->weight[i] * form(work->motor_sums->block[b].joint[i].gram, local, count);
+            left -= work->weight[i] * form(work->sums->motors.block[b].joint[i].gram, local, count);
         }
     }
     for (uint32_t b = work->momenta.first; (b < work->momenta.end) && (work->momentum_weight > 0.0); b++) {
-        left -= work->momentum_weight * momentum_form(work, &work->momentum_sums->block[b].rows, x);
+        left -= work->momentum_weight * momentum_form(work, &work->sums->momentum.block[b].rows, x);
     }
-    *explained = work->noise_fraction * form(work->accumulator->noise_closed.gram, x, p);
+    *explained = work->noise_fraction * form(work->sums->energy.noise_closed.gram, x, p);
     left += *explained;
     return (left > 0.0) ? left : 0.0;
 }
@@ -989,8 +989,8 @@ static uint32_t begin(zygos_solver_t *work, uint32_t p)
    the deflection, the mean over an arc of a random walk about its own mean. */
 static double joint_variance(const zygos_solver_t *work, uint32_t i)
 {
-    const zygos_motor_sums_t *sums = work->motor_sums;
-    const zygos_joint_config_t *joint = &work->config->joint[i];
+    const zygos_motor_sums_t *sums = &work->sums->motors;
+    const zygos_joint_config_t *joint = &work->sums->config.joint[i];
     double local[ZYGOS_MAX_IMPULSE] = { 0.0 };
     double sum = 0.0;
     for (uint32_t a = 0; a < sums->column_map.count[i]; a++) {
@@ -999,7 +999,7 @@ static double joint_variance(const zygos_solver_t *work, uint32_t i)
             sum += ((a == b) ? 1.0 : 2.0) * local[a] * local[b] * sums->noise[i][at(a, b)];
         }
     }
-    const double arc_s = work->config->period_s * (double)work->config->impulse_arc_cycles;
+    const double arc_s = work->sums->config.period_s * (double)work->sums->config.impulse_arc_cycles;
     const double reading =
         joint->link_sigma_rad * joint->link_sigma_rad + joint->motor_sigma_rad * joint->motor_sigma_rad;
     return sum + local[1] * local[1] * reading * arc_s * arc_s / WALK;
@@ -1009,9 +1009,9 @@ static double joint_variance(const zygos_solver_t *work, uint32_t i)
    energy: mean square of the noise in an energy row. */
 static void add_motors(zygos_solver_t *work, double energy)
 {
-    const zygos_motor_sums_t *sums = work->motor_sums;
+    const zygos_motor_sums_t *sums = &work->sums->motors;
     const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_MIN_ARCS);
-    for (uint32_t i = 0; i < work->config->joints; i++) {
+    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
         if ((sums->column_map.count[i] > 0) && !(work->weight[i] > 0.0)) {
             const double joint = joint_variance(work, i);
             work->weight[i] = ((joint > 0.0) && enough) ? energy / joint : 0.0;
@@ -1037,12 +1037,12 @@ static void widen(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
    Of the latter, the error of one arc of the longest kind is kept. */
 static void add_common_error(const zygos_solver_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
 {
-    const double half_s = 0.5 * work->config->period_s * (double)work->config->joint_row_cycles;
-    const double joints = (double)work->config->joints;
+    const double half_s = 0.5 * work->sums->config.period_s * (double)work->sums->config.joint_row_cycles;
+    const double joints = (double)work->sums->config.joints;
     const double blocks =
-        work->joints_alone ? work->joint_sums->apart_sums / joints : (double)(work->blocks.end - work->blocks.first);
+        work->joints_alone ? work->sums->joints.apart_sums / joints : (double)(work->blocks.end - work->blocks.first);
     const double arcs = work->joints_alone ? work->instants / joints * half_s / SYSTEMATIC_S
-                                           : work->instants / (double)work->config->arc_cycles;
+                                           : work->instants / (double)work->sums->config.arc_cycles;
     /* The noise of torques adds up from row to row, as far as any noise does. */
     const double noise = work->joints_alone ? ZYGOS_CLUSTER_LIMIT : ZYGOS_CLUSTER_NOISE;
     const double alike = (out->cluster > noise) ? 1.0 - noise / out->cluster : 0.0;
@@ -1065,16 +1065,16 @@ static void add_torque_noise(zygos_solver_t *work, uint32_t p, uint32_t rank, do
     memset(u, 0, p * sizeof u[0]);
     memset(work->right_side, 0, p * sizeof work->right_side[0]);
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
-        const double *deviation = zygos_accumulator_deviation(work->accumulator, block);
+        const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
+        const double *deviation = zygos_accumulator_deviation(&work->sums->energy, block);
         for (uint32_t i = 0; i < p; i++) {
             work->right_side[i] += deviation[i] * work->scale[i];
         }
     }
     solve_once(work, p, rank, rest);
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
-        const double *deviation = zygos_accumulator_deviation(work->accumulator, block);
+        const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
+        const double *deviation = zygos_accumulator_deviation(&work->sums->energy, block);
         const double share = block->instants / work->instants;
         for (uint32_t i = 0; i < p; i++) {
             work->right_side[i] = deviation[i] * work->scale[i];
@@ -1257,8 +1257,8 @@ static double cluster(const zygos_solver_t *work, uint32_t p, double residual, d
     double squares = 0.0;
     double means = 0.0;
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
-        const double *deviation = zygos_accumulator_deviation(work->accumulator, block);
+        const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
+        const double *deviation = zygos_accumulator_deviation(&work->sums->energy, block);
         double sum = deviation[p];
         for (uint32_t i = 0; i < p; i++) {
             sum -= work->solution[i] * deviation[i];
@@ -1275,13 +1275,13 @@ static double cluster(const zygos_solver_t *work, uint32_t p, double residual, d
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
 static void choose_momenta(zygos_solver_t *work, uint64_t after, uint64_t until)
 {
-    const zygos_momentum_sums_t *sums = work->momentum_sums;
+    const zygos_momentum_sums_t *sums = &work->sums->momentum;
     work->momenta.first = 0;
-    while ((work->momenta.first < sums->count) && (sums->block[work->momenta.first].end <= after)) {
+    while ((work->momenta.first < sums->store.count) && (sums->block[work->momenta.first].head.end <= after)) {
         work->momenta.first++;
     }
     work->momenta.end = work->momenta.first;
-    while ((work->momenta.end < sums->count) && (sums->block[work->momenta.end].end <= until)) {
+    while ((work->momenta.end < sums->store.count) && (sums->block[work->momenta.end].head.end <= until)) {
         work->momenta.end++;
     }
 }
@@ -1289,28 +1289,29 @@ static void choose_momenta(zygos_solver_t *work, uint64_t after, uint64_t until)
 /* Chooses the blocks that are used, and sums them: first those of the energy, then those of the motors. */
 static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
-    const zygos_accumulator_t *sums = work->accumulator;
-    const zygos_motor_sums_t *joints = work->motor_sums;
+    const zygos_accumulator_t *sums = &work->sums->energy;
+    const zygos_motor_sums_t *joints = &work->sums->motors;
     const uint64_t after = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->end : 0u;
     const uint64_t until = (end > 0) ? zygos_accumulator_at(sums, end - 1u)->end : 0u;
     double all = 0.0;
     work->blocks.first = first;
     work->blocks.end = end;
     work->arcs.first = 0;
-    while ((work->arcs.first < joints->count) && (joints->block[work->arcs.first].end <= after)) {
+    while ((work->arcs.first < joints->store.count) && (joints->block[work->arcs.first].head.end <= after)) {
         work->arcs.first++;
     }
     work->arcs.end = work->arcs.first;
-    while ((work->arcs.end < joints->count) && ((end == sums->open) || (joints->block[work->arcs.end].end <= until))) {
+    while ((work->arcs.end < joints->store.count) &&
+           ((end == sums->closed) || (joints->block[work->arcs.end].head.end <= until))) {
         work->arcs.end++;
     }
-    choose_momenta(work, after, (end == sums->open) ? work->cycle : until);
+    choose_momenta(work, after, (end == sums->closed) ? work->sums->cycle : until);
     memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
     work->instants = 0.0;
     work->joints_alone = 0;
     work->joints_weight = 0.0;
-    work->joints_used = ((first == 0) && (end == sums->open)) ? 1u : 0u;
-    for (uint32_t b = 0; b < sums->open; b++) {
+    work->joints_used = ((first == 0) && (end == sums->closed)) ? 1u : 0u;
+    for (uint32_t b = 0; b < sums->closed; b++) {
         all += zygos_accumulator_at(sums, b)->instants;
         for (uint32_t k = 0; (k < at(p + 2u, 0)) && (b >= first) && (b < end); k++) {
             work->total[k] += zygos_accumulator_at(sums, b)->gram[k];
@@ -1335,7 +1336,7 @@ static void choose_anew(zygos_solver_t *work, uint32_t p, uint32_t first, uint32
 /* Chooses joint rows alone, of the groups from first to before end; the declared noise of all is shared out to them. */
 static void choose_joints(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
-    const zygos_joint_sums_t *sums = work->joint_sums;
+    const zygos_joint_sums_t *sums = &work->sums->joints;
     work->blocks.first = 0;
     work->blocks.end = 0;
     work->arcs.first = 0;
@@ -1373,7 +1374,8 @@ static uint32_t groups_of(const zygos_joint_sums_t *sums)
 static uint32_t with_motors(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     const uint32_t rank = begin(work, p);
-    const bool others = (work->momenta.first != work->momenta.end) || (zygos_joint_sums_rows(work->joint_sums) > 0.0);
+    const bool others =
+        (work->momenta.first != work->momenta.end) || (zygos_joint_sums_rows(&work->sums->joints) > 0.0);
     work->alone = 0.0;
     if (((work->arcs.first == work->arcs.end) && !others) || (rank == 0)) {
         return rank;
@@ -1395,7 +1397,7 @@ static uint32_t with_motors(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
    arcs are left out, and without declared noise all. */
 static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
-    const zygos_momentum_sums_t *sums = work->momentum_sums;
+    const zygos_momentum_sums_t *sums = &work->sums->momentum;
     if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_MIN_ARCS)) {
         work->momenta.end = work->momenta.first;
         return rank;
@@ -1403,9 +1405,9 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, z
     double weight = work->momentum_weight;
     double all = 0.0;
     double chosen = 0.0;
-    for (uint32_t b = 0; b < sums->count; b++) {
-        all += sums->block[b].instants;
-        chosen += ((b >= work->momenta.first) && (b < work->momenta.end)) ? sums->block[b].instants : 0.0;
+    for (uint32_t b = 0; b < sums->store.count; b++) {
+        all += sums->block[b].head.total;
+        chosen += ((b >= work->momenta.first) && (b < work->momenta.end)) ? sums->block[b].head.total : 0.0;
     }
     work->momentum_weight = 0.0;
     if (!(weight > 0.0)) {
@@ -1433,7 +1435,7 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, z
    to the whole run. */
 static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
-    const zygos_joint_sums_t *sums = work->joint_sums;
+    const zygos_joint_sums_t *sums = &work->sums->joints;
     if ((rank == 0) || (work->joints_used == 0) || (sums->width == 0) || (groups_of(sums) < ZYGOS_MIN_GROUPS)) {
         return rank;
     }
@@ -1481,7 +1483,7 @@ static uint32_t combine(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 /* The same of the joint rows: by the sums of each joint's residuals in a segment. */
 static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
 {
-    const zygos_joint_sums_t *sums = work->joint_sums;
+    const zygos_joint_sums_t *sums = &work->sums->joints;
     const double apart = form(sums->apart.gram, work->solution, p);
     const double squares = (sums->apart_sums > 0.0) ? apart / sums->apart_sums : 0.0;
     /* Each sum is divided by the root of twice its number of rows. */
@@ -1516,9 +1518,9 @@ static double walk_in_clusters(const zygos_solver_t *work)
     double walked = 0.0; /* by the arc so far */
     double weights = 0.0;
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        const zygos_block_t *block = zygos_accumulator_at(work->accumulator, b);
+        const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
         const bool last =
-            (b + 1u == work->blocks.end) || (zygos_accumulator_at(work->accumulator, b + 1u)->end != block->end);
+            (b + 1u == work->blocks.end) || (zygos_accumulator_at(&work->sums->energy, b + 1u)->end != block->end);
         walked += block->variance[0];
         weights += (block->square > 0.0) ? block->instants * block->instants / block->square : 0.0;
         sum += last ? weights * walked / 6.0 : 0.0; /* mean square of a walk about its own mean */
@@ -1562,7 +1564,7 @@ static bool energy_disturbed(const zygos_solver_t *work, uint32_t p, double toge
 /* The same of the motor rows of joint i. allowed: factor of the limit. */
 static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allowed)
 {
-    const zygos_motor_sums_t *sums = work->motor_sums;
+    const zygos_motor_sums_t *sums = &work->sums->motors;
     const uint32_t count = sums->column_map.count[i];
     double gram[ZYGOS_MAX_PACKED_IMPULSE + ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
     double x[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
@@ -1588,7 +1590,7 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
     const double together = form(gram, x, count);
     const double squares = gram[at(count, count)];
     /* The gain's column, the last one, is the right side with the other sign. */
-    const uint32_t gain = ((count > 3u) && (work->config->effect[sums->column_map.effect[i][count - 4u]].kind ==
+    const uint32_t gain = ((count > 3u) && (work->sums->config.effect[sums->column_map.effect[i][count - 4u]].kind ==
                                             (uint32_t)ZYGOS_TORQUE_GAIN))
                               ? 1u
                               : 0u;
@@ -1633,7 +1635,7 @@ static fit_t fit_of(const zygos_solver_t *work, uint32_t p, double alone)
     out.good = (cluster(work, p, root(square), &share) <= ZYGOS_MISFIT_CLUSTER * (1.0 + walk)) ||
                (share <= ZYGOS_MISFIT_CLUSTER_SHARE);
     out.good = out.good && !energy_disturbed(work, p, out.left, alone, 1.0 + walk);
-    for (uint32_t i = 0; i < work->config->joints; i++) {
+    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
         out.good = out.good && !motors_disturbed(work, i, 1.0 + walk);
     }
     return out;
@@ -1701,38 +1703,38 @@ static bool far_smaller(const zygos_estimate_t *out, const residuals_t *all)
    the standard deviations are most of the cost. */
 static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t first, const residuals_t *all)
 {
-    const zygos_accumulator_t *sums = work->accumulator;
+    const zygos_accumulator_t *sums = &work->sums->energy;
     const uint32_t p = work->column_map.parameters;
     const uint32_t effects = work->column_map.reduced;
     double before = 0.0;
     memset(out, 0, sizeof *out);
     work->gains_held = (work->gains > 0) ? 1u : 0u;
     memset(work->gain_value, 0, sizeof work->gain_value);
-    memcpy(out->left_out, work->guard->left_out, sizeof out->left_out);
+    memcpy(out->left_out, work->sums->guard.left_out, sizeof out->left_out);
     for (uint32_t b = 0; b < first; b++) {
         before += zygos_accumulator_at(sums, b)->instants;
         out->left_out[ZYGOS_ENERGY_ROWS] +=
             (zygos_accumulator_at(sums, b)->end != zygos_accumulator_at(sums, b + 1u)->end) ? 1u : 0u;
     }
-    out->cycle = work->cycle;
+    out->cycle = work->sums->cycle;
     out->refused = sums->refused;
     out->parameters = p;
     out->accepted = sums->accepted - (uint64_t)(before + 0.5);
-    out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->guard->left_out[ZYGOS_ENERGY_ROWS]);
-    out->blocks = sums->open - first;
-    if (zygos_joint_sums_suffice(work->config)) {
-        out->accepted = work->joint_sums->accepted;
-        out->refused = work->joint_sums->refused;
-        out->arcs = (uint32_t)work->joint_sums->segments;
-        out->blocks = groups_of(work->joint_sums);
+    out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->sums->guard.left_out[ZYGOS_ENERGY_ROWS]);
+    out->blocks = sums->closed - first;
+    if (zygos_joint_sums_suffice(&work->sums->config)) {
+        out->accepted = work->sums->joints.accepted;
+        out->refused = work->sums->joints.refused;
+        out->arcs = (uint32_t)work->sums->joints.segments;
+        out->blocks = groups_of(&work->sums->joints);
     }
     out->since = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->end : 0u;
-    out->consecutive = work->guard->consecutive[ZYGOS_ENERGY_ROWS];
-    const bool joints = zygos_joint_sums_suffice(work->config);
+    out->consecutive = work->sums->guard.consecutive[ZYGOS_ENERGY_ROWS];
+    const bool joints = zygos_joint_sums_suffice(&work->sums->config);
     if (joints) {
         choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     } else {
-        choose_anew(work, p, first, sums->open);
+        choose_anew(work, p, first, sums->closed);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
     if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
@@ -1830,7 +1832,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     } else if (!closed || (!fit && !noisy && (known == p))) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
-    } else if (work->guard->changed != 0) {
+    } else if (work->sums->guard.changed != 0) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_CHANGED;
     } else if (work->gains_differ > 0) {
@@ -1862,7 +1864,7 @@ static bool may_hold_bad_arcs(const zygos_estimate_t *out)
 static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
 {
     uint32_t b = from;
-    while ((b > 0) && (b < sums->open) &&
+    while ((b > 0) && (b < sums->closed) &&
            (zygos_accumulator_at(sums, b)->end == zygos_accumulator_at(sums, b - 1u)->end)) {
         b++;
     }
@@ -1876,14 +1878,14 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     double before = 0.0;
     double behind = 0.0;
     uint32_t arcs = 0;
-    for (uint32_t b = 0; b < sums->open; b++) {
+    for (uint32_t b = 0; b < sums->closed; b++) {
         const bool last_of_arc =
-            (b + 1u == sums->open) || (zygos_accumulator_at(sums, b + 1u)->end != zygos_accumulator_at(sums, b)->end);
+            (b + 1u == sums->closed) || (zygos_accumulator_at(sums, b + 1u)->end != zygos_accumulator_at(sums, b)->end);
         before += (b < first) ? zygos_accumulator_at(sums, b)->instants : 0.0;
         behind += (b < first) ? 0.0 : zygos_accumulator_at(sums, b)->instants;
         arcs += ((b >= first) && last_of_arc) ? 1u : 0u;
     }
-    return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
+    return (first + ZYGOS_MIN_BLOCKS <= sums->closed) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
 /* Vectors of the solver, and those of an estimate that is put aside, beside which one has its flags. */
@@ -1903,9 +1905,9 @@ static double *vector(zygos_accumulator_t *sums, uint32_t k)
    arcs have ended. Its matrices are empty again behind it; rows that waited need not be. */
 static void borrow(zygos_solver_t *work)
 {
-    zygos_accumulator_t *sums = work->accumulator;
-    zygos_balance_column_map(work->config, &work->column_map);
-    work->gains = zygos_effects_gains(work->config);
+    zygos_accumulator_t *sums = &work->sums->energy;
+    zygos_balance_column_map(&work->sums->config, &work->column_map);
+    work->gains = zygos_effects_gains(&work->sums->config);
     work->gains_held = (work->gains > 0) ? 1u : 0u;
     work->gains_differ = 0;
     work->gains_seen = 0;
@@ -1939,7 +1941,7 @@ static void borrow(zygos_solver_t *work)
 
 static void give_back(zygos_solver_t *work)
 {
-    zygos_accumulator_t *sums = work->accumulator;
+    zygos_accumulator_t *sums = &work->sums->energy;
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         memset(sums->buffer[b].gram, 0, sizeof sums->buffer[b].gram);
     }
@@ -1965,11 +1967,11 @@ static void put_aside(zygos_solver_t *work, zygos_estimate_t *out, head_t *head,
     const size_t size = work->column_map.parameters * sizeof(double);
     const size_t triangle = at(work->column_map.parameters, 0) * sizeof(double);
     for (uint32_t k = 0; k < ASIDE; k++) {
-        double *place = vector(work->accumulator, VECTORS + k);
+        double *place = vector(&work->sums->energy, VECTORS + k);
         memcpy(back ? own[k] : place, back ? place : own[k], size);
     }
-    double *flags = vector(work->accumulator, VECTORS + ASIDE);
-    double *covariance = free_triangle(work->accumulator);
+    double *flags = vector(&work->sums->energy, VECTORS + ASIDE);
+    double *covariance = free_triangle(&work->sums->energy);
     if (back) {
         memcpy(out, head, sizeof *head);
         memcpy(out->identifiable, flags, work->column_map.parameters * sizeof out->identifiable[0]);
@@ -1986,9 +1988,9 @@ static void put_aside(zygos_solver_t *work, zygos_estimate_t *out, head_t *head,
    for it, and it is the answer. */
 static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
 {
-    const zygos_accumulator_t *sums = work->accumulator;
+    const zygos_accumulator_t *sums = &work->sums->energy;
     int answer = solve_from(work, out, 0, NULL);
-    if ((work->guard->adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out) ||
+    if ((work->sums->guard.adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out) ||
         (sums->count >= (uint32_t)ZYGOS_MAX_BLOCKS)) {
         return answer;
     }
@@ -1999,7 +2001,7 @@ static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
     bool better = false;
     put_aside(work, out, &head, false);
     for (uint32_t quarter = 1; !better && (quarter <= 2u); quarter++) {
-        const uint32_t next = next_arc(sums, quarter * sums->open / 4u);
+        const uint32_t next = next_arc(sums, quarter * sums->closed / 4u);
         if ((next > first) && several_behind(sums, next)) {
             first = next;
             answer = solve_from(work, out, first, &all);
@@ -2011,7 +2013,7 @@ static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
         put_aside(work, out, &head, true);
         answer = whole;
     }
-    memset(free_triangle(work->accumulator), 0, at(work->column_map.parameters, 0) * sizeof(double));
+    memset(free_triangle(&work->sums->energy), 0, at(work->column_map.parameters, 0) * sizeof(double));
     return answer;
 }
 
@@ -2032,15 +2034,8 @@ int zygos_solver_refuse(zygos_estimate_t *out)
 /* The sums are those of the copy. */
 static zygos_solver_t *solver_of(zygos_work_t *work)
 {
-    zygos_solver_t *solver = &work->solver;
-    solver->accumulator = &work->accumulator;
-    solver->motor_sums = &work->motor_sums;
-    solver->momentum_sums = &work->momentum_sums;
-    solver->joint_sums = &work->joint_sums;
-    solver->guard = &work->guard;
-    solver->config = &work->config;
-    solver->cycle = work->cycle;
-    return solver;
+    work->solver.sums = &work->sums;
+    return &work->solver;
 }
 
 int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out)
@@ -2048,7 +2043,7 @@ int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out)
     if ((work == NULL) || (out == NULL)) {
         return ZYGOS_E_NULL;
     }
-    return zygos_work_intact(work) ? zygos_solver_solve(solver_of(work), out) : zygos_solver_refuse(out);
+    return zygos_sums_end_copy(&work->sums) ? zygos_solver_solve(solver_of(work), out) : zygos_solver_refuse(out);
 }
 
 /* Solves the chosen blocks by themselves. Returns false where they determine no solution. */
@@ -2085,7 +2080,7 @@ static bool explains(const zygos_solver_t *work, uint32_t p, const reference_t *
     const double left = energy_left(work, p, work->solution, &explained);
     const double by_noise = reference->ratio * explained;
     const double by_number = reference->residual * work->instants;
-    const double window = 2.0 * (double)work->config->smoother_half_width + 1.0;
+    const double window = 2.0 * (double)work->sums->config.smoother_half_width + 1.0;
     const double most =
         zygos_guard_chi_square_limit(work->instants / window) * ((by_noise > by_number) ? by_noise : by_number);
     return left <= most + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * work->spread;
@@ -2136,14 +2131,14 @@ static void compare(zygos_solver_t *work, uint32_t p, const zygos_estimate_t *ou
 /* Compares the segments of joint rows that were set aside with the groups of the estimate. */
 static int detect_in_joints(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out, double *deviation)
 {
-    const uint32_t groups = groups_of(work->joint_sums);
+    const uint32_t groups = groups_of(&work->sums->joints);
     const uint32_t aside = (uint32_t)ZYGOS_SET_ASIDE;
     double scaled[ZYGOS_MAX_PARAMETERS];
     out->blocks = groups;
-    if ((groups < ZYGOS_MIN_GROUPS) || (work->guard->known == 0) || (work->guard->changed == 0)) {
+    if ((groups < ZYGOS_MIN_GROUPS) || (work->sums->guard.known == 0) || (work->sums->guard.changed == 0)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
-    out->cycle = work->guard->agreed;
+    out->cycle = work->sums->guard.agreed;
     choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     if (!solve_before(work, p, out, scaled)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
@@ -2163,9 +2158,9 @@ static int detect_in_joints(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
 /* Compares the newest blocks of energy rows with those before them. */
 static int detect_in_energy(zygos_solver_t *work, uint32_t p, bool guarded, zygos_estimate_t *out, double *deviation)
 {
-    const zygos_accumulator_t *sums = work->accumulator;
+    const zygos_accumulator_t *sums = &work->sums->energy;
     out->blocks = sums->newest;
-    if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->open)) {
+    if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->closed)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     out->cycle = zygos_accumulator_at(sums, sums->newest - 1u)->end;
@@ -2176,7 +2171,7 @@ static int detect_in_energy(zygos_solver_t *work, uint32_t p, bool guarded, zygo
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
     const reference_t reference = reference_of(work, p);
-    choose(work, p, sums->newest, sums->open);
+    choose(work, p, sums->newest, sums->closed);
     const double known[4] = { out->signal_to_noise, out->cluster, out->residual, out->noise_ratio };
     const bool solved = solve_chosen(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &reference));
     if (solved && !closes(work, p, out)) {
@@ -2199,17 +2194,17 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
         return ZYGOS_E_NULL;
     }
-    const zygos_accumulator_t *sums = &work->accumulator;
+    const zygos_accumulator_t *sums = &work->sums.energy;
     memset(out, 0, sizeof *out);
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
     /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
-    const bool guarded = (work->guard.known != 0);
-    const bool joints = (work->config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->config);
-    const bool settled = zygos_work_settle(work);
-    work->guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
-    if (!settled || !zygos_work_intact(work)) {
+    const bool guarded = (work->sums.guard.known != 0);
+    const bool joints = (work->sums.config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->sums.config);
+    const bool settled = zygos_sums_settle_copy(&work->sums);
+    work->sums.guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
+    if (!settled || !zygos_sums_end_copy(&work->sums)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     zygos_solver_t *solver = solver_of(work);

@@ -8,19 +8,19 @@
 
 #define SIZE_OF(member) (sizeof(((zygos_arm_t *)0)->member))
 #define TABLES(WHICH)                                                                                                  \
-    WHICH(column_map)                                                                                                  \
+    WHICH(sums.column_map)                                                                                             \
     WHICH(geometry)                                                                                                    \
     WHICH(smoother.taps)                                                                                               \
     WHICH(smoother.gyro)                                                                                               \
     WHICH(smoother.limit)                                                                                              \
     WHICH(noise)                                                                                                       \
-    WHICH(motor_sums.column_map)                                                                                       \
-    WHICH(motor_sums.noise)                                                                                            \
-    WHICH(momentum_sums.deviation)                                                                                     \
-    WHICH(momentum_sums.rotor)                                                                                         \
-    WHICH(joint_sums.weight)                                                                                           \
-    WHICH(joint_sums.deviation)                                                                                        \
-    WHICH(joint_sums.rotor_variance)
+    WHICH(sums.motors.column_map)                                                                                      \
+    WHICH(sums.motors.noise)                                                                                           \
+    WHICH(sums.momentum.deviation)                                                                                     \
+    WHICH(sums.momentum.rotor)                                                                                         \
+    WHICH(sums.joints.weight)                                                                                          \
+    WHICH(sums.joints.deviation)                                                                                       \
+    WHICH(sums.joints.rotor_variance)
 
 /* Where the configuration and the tables are, in the order in which they are verified. */
 typedef struct {
@@ -28,13 +28,13 @@ typedef struct {
     uint32_t bytes;
 } region_t;
 #define REGION(member) { (uint32_t)offsetof(zygos_arm_t, member), (uint32_t)SIZE_OF(member) },
-static const region_t regions[] = { REGION(config) TABLES(REGION) };
+static const region_t regions[] = { REGION(sums.config) TABLES(REGION) };
 #define REGIONS ((uint32_t)(sizeof regions / sizeof regions[0]))
 
 /* Cycles that the patrol takes for them. */
 #define MOST (ZYGOS_PATROL_WORDS * WORD)
 #define PARTS(member) +(uint32_t)((SIZE_OF(member) + MOST - 1u) / MOST)
-#define PASS (0u PARTS(config) TABLES(PARTS))
+#define PASS (0u PARTS(sums.config) TABLES(PARTS))
 
 static const unsigned char *memory_of(const zygos_arm_t *arm, uint32_t region)
 {
@@ -44,13 +44,13 @@ static const unsigned char *memory_of(const zygos_arm_t *arm, uint32_t region)
 /* Of the counts among them. */
 static uint64_t counts_checksum(const zygos_arm_t *arm)
 {
-    const zygos_momentum_sums_t *momentum = &arm->momentum_sums;
-    const zygos_joint_sums_t *joints = &arm->joint_sums;
+    const zygos_momentum_sums_t *momentum = &arm->sums.momentum;
+    const zygos_joint_sums_t *joints = &arm->sums.joints;
     const uint32_t counts[10] = {
-        arm->smoother.joints, arm->smoother.window, arm->accumulator.noisy, momentum->columns, momentum->components,
+        arm->smoother.joints, arm->smoother.window, arm->sums.energy.noisy, momentum->columns, momentum->components,
         momentum->signals,    joints->width,        joints->increments,     joints->slice,     joints->share,
     };
-    return zygos_checksum_number(zygos_checksum_memory(0u, counts, (uint32_t)sizeof counts), arm->copied_checksum);
+    return zygos_checksum_number(zygos_checksum_memory(0u, counts, (uint32_t)sizeof counts), arm->sums.checksum);
 }
 
 uint64_t zygos_tables_checksum(const zygos_arm_t *arm)
@@ -83,7 +83,7 @@ bool zygos_patrol_part(zygos_patrol_t *self, zygos_arm_t *arm, const zygos_confi
     bool good = true;
     if (region == 0) {
         if (from == 0) {
-            self->begun = arm->cycle;
+            self->begun = arm->sums.cycle;
             self->sum = counts_checksum(arm);
         }
         good = zygos_is_same(memory_of(arm, 0) + from, (const unsigned char *)config + from, part);

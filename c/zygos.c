@@ -268,7 +268,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config, void *memory, uint32
     }
     const int verdict = zygos_arm_init(&self->state, config);
     if (verdict == 1) {
-        self->state.guard.adopting = 1;
+        self->state.sums.guard.adopting = 1;
         self->magic = ZYGOS_BEGUN;
     }
     return verdict;
@@ -321,7 +321,8 @@ static int mend(zygos_t *self, const zygos_given_t *given)
     const int found = zygos_arm_scrub(&self->state, config_of(given));
     memset(&self->patrol, 0, sizeof self->patrol);
     if (found == 0) {
-        self->state.dropped++; /* tasks were finished at once: the kind of rows that is being copied begins again */
+        self->state.sums
+            .dropped++; /* tasks were finished at once: the kind of rows that is being copied begins again */
         return 0;
     }
     copy_anew(self);
@@ -330,7 +331,7 @@ static int mend(zygos_t *self, const zygos_given_t *given)
     }
     if (found < 0) {
         (void)zygos_arm_init(&self->state, config_of(given));
-        self->state.guard.adopting = 1;
+        self->state.sums.guard.adopting = 1;
         self->losses++;
         give_up(self);
     } else {
@@ -356,7 +357,7 @@ static bool decode(zygos_t *self, bool all)
     const uint32_t head = __atomic_load_n(&self->head, __ATOMIC_ACQUIRE);
     uint32_t tail = (head - self->tail > (uint32_t)ZYGOS_RING) ? head : self->tail;
     for (; (tail != head) && (all || !is_complete(receiver)); tail++) {
-        (void)zygos_receiver_frame(receiver, &self->state.config, &self->ring[tail % (uint32_t)ZYGOS_RING]);
+        (void)zygos_receiver_frame(receiver, &self->state.sums.config, &self->ring[tail % (uint32_t)ZYGOS_RING]);
     }
     __atomic_store_n(&self->tail, tail, __ATOMIC_RELEASE);
     const uint32_t lost = __atomic_load_n(&self->overrun, __ATOMIC_RELAXED);
@@ -370,16 +371,20 @@ static bool decode(zygos_t *self, bool all)
 /* A comparison with the adopted estimate should not begin with one and end with another. */
 static bool is_comparing(const zygos_arm_t *arm)
 {
-    return zygos_accumulator_closing(&arm->accumulator) || (arm->motor_sums.task == ZYGOS_MOTOR_CLOSE) ||
-           (arm->motor_sums.task == ZYGOS_MOTOR_JUDGE) || (arm->momentum_sums.task == ZYGOS_MOMENTUM_JUDGE) ||
-           (arm->ending != 0);
+    const uint32_t motors = arm->sums.motors.store.task;
+    return zygos_accumulator_closing(&arm->sums.energy) ||
+           ((motors >= ZYGOS_STORE_VERIFY) && (motors <= ZYGOS_STORE_JUDGE)) ||
+           (arm->sums.momentum.store.task == ZYGOS_STORE_JUDGE) || (arm->sums.ending != 0);
 }
 
 /* Where sums are dropped, tasks would have to be finished at once. */
 static bool has_tasks(const zygos_arm_t *arm)
 {
-    return zygos_accumulator_busy(&arm->accumulator) || (arm->motor_sums.task != ZYGOS_MOTOR_NONE) ||
-           (arm->momentum_sums.task != ZYGOS_MOMENTUM_NONE);
+    bool busy = false;
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        busy = busy || zygos_sums_is_busy(&arm->sums, kind);
+    }
+    return busy;
 }
 
 /* Judges what is refined by a new estimate. What cannot be judged is not published any more. */
@@ -438,7 +443,7 @@ static void adopt(zygos_t *self, const zygos_given_t *given)
     } else if (current && ((background == NULL) || (estimate->since > 0))) {
         (void)zygos_arm_adopt(arm, estimate); /* where sums are dropped, which is rare, at once */
     } else if (current && (background->adopted != 0)) {
-        zygos_guard_take_over(&arm->guard, &background->work.guard);
+        zygos_guard_take_over(&arm->sums.guard, &background->work.sums.guard);
     }
     if (current) {
         judge(self, given);
@@ -458,7 +463,7 @@ static bool may_refine(const zygos_t *self, const zygos_refine_t *refine)
 static uint64_t syncs_of(const zygos_arm_t *arm)
 {
     const uint64_t sync = arm->receiver.assembly.sync;
-    return (sync > arm->cycle) ? sync : arm->cycle;
+    return (sync > arm->sums.cycle) ? sync : arm->sums.cycle;
 }
 
 /* The age of the sums, for an estimate. */
@@ -478,7 +483,7 @@ static int patrol(zygos_t *self, const zygos_given_t *given)
    that. */
 static bool is_verified(zygos_t *self, const zygos_given_t *given, uint64_t copied)
 {
-    if (copied > self->state.cycle) { /* memory errors: it would be waited for in vain */
+    if (copied > self->state.sums.cycle) { /* memory errors: it would be waited for in vain */
         copy_anew(self);
         return false;
     }
@@ -529,10 +534,10 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
             set_copied(self, 0);
         }
         set_copied(self, cycles_copied(self) + 1u);
-        const bool done = zygos_handover_part(&self->handover, &self->state, &background->work);
+        const bool done = zygos_handover_part(&self->handover, &self->state.sums, &background->work.sums);
         self->state.held = zygos_handover_held(&self->handover);
         self->state.beside = (self->handover.waited == 0) ? 1u : 0u; /* tasks proceed while the copy waits */
-        if (!done || !is_verified(self, given, background->work.cycle)) {
+        if (!done || !is_verified(self, given, background->work.sums.cycle)) {
             return;
         }
         if (background->of != self->restarts) { /* what was compared was another arm */
@@ -715,7 +720,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         return verdict;
     }
     self->state.restored = 0;
-    self->state.guard.adopting = 1;
+    self->state.sums.guard.adopting = 1;
     copy_anew(self);
     self->refines_anew = SET;
     give_up(self);
@@ -763,8 +768,8 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config, void *memory, uint
     if (zygos_arm_scrub(&self->state, config) != 0) {
         return ZYGOS_E_SUMS;
     }
-    self->state.restored = self->state.cycle;
-    self->state.guard.adopting = 1;
+    self->state.restored = self->state.sums.cycle;
+    self->state.sums.guard.adopting = 1;
     self->magic = ZYGOS_BEGUN;
     return 1;
 }
@@ -828,9 +833,7 @@ static void solve_copy(zygos_background_t *background, const zygos_config_t *con
     (void)zygos_work_solve(work, estimate);
     doubt(background, config);
     background->adopted = 0;
-    if ((estimate->changed == 0) &&
-        zygos_guard_adopt(&work->guard, config, &work->column_map, &work->accumulator, &work->motor_sums,
-                          &work->momentum_sums, &work->joint_sums, estimate)) {
+    if ((estimate->changed == 0) && zygos_guard_adopt(&work->sums, estimate)) {
         background->adopted = 1;
     }
     background->compares = (estimate->blocks >= ZYGOS_CHANGE_MIN_BLOCKS) ? 1u : 0u;
@@ -861,7 +864,7 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     uint32_t of = 0;
     if (background != NULL) {
         of = background->of;
-        background->work.config = *config;
+        background->work.sums.config = *config;
         if (background->compares != 0) {
             compare(background);
             background->compares = 0;

@@ -87,12 +87,12 @@ __attribute__((noinline)) void driver_mark(void)
 static place_t step(uint32_t frames)
 {
     const zygos_arm_t *const arm = &loop.state;
-    const zygos_accumulator_t *sums = &arm->accumulator;
-    const zygos_config_t *config = &arm->config;
+    const zygos_accumulator_t *sums = &arm->sums.energy;
+    const zygos_config_t *config = &arm->sums.config;
     const double segment = sums->segment;
     const uint32_t blocks = sums->count;
     const uint32_t arcs = sums->arcs + sums->arcs_dropped;
-    const zygos_joint_sums_t *joints = &arm->joint_sums;
+    const zygos_joint_sums_t *joints = &arm->sums.joints;
     const uint64_t segments = joints->segments;
     const uint64_t instants = joints->accepted + joints->refused;
     const uint32_t row = (arm->joint.turn < config->joints) ? 1u + arm->joint.turn : 0u;
@@ -103,44 +103,45 @@ static place_t step(uint32_t frames)
     /* rows that wait are added where none is formed; elsewhere only whether there are any decides */
     const uint32_t added = (row == 0) ? joints->pass * joints->width + joints->row : 0u;
     const uint32_t waits = (joints->waiting > 0) ? 1u + added : 0u;
-    const uint32_t tasks[3] = { sums->task, arm->motor_sums.task, arm->momentum_sums.task };
+    const uint32_t tasks[3] = { sums->task, arm->sums.motors.store.task, arm->sums.momentum.store.task };
     const uint32_t of_energy = energy_task(sums);
-    const uint32_t of_motors = (arm->motor_sums.task << 16u) | arm->motor_sums.joint;
-    const uint32_t of_momentum = (arm->momentum_sums.task << 16u) | arm->momentum_sums.row;
-    const uint32_t ending = arm->ending;
+    const uint32_t of_motors = (arm->sums.motors.store.task << 16u) | arm->sums.motors.store.part;
+    const uint32_t of_momentum = (arm->sums.momentum.store.task << 16u) | arm->sums.momentum.store.row;
+    const uint32_t ending = arm->sums.ending;
     const bool has_work = zygos_accumulator_has_work(sums);
     const uint32_t stage = loop.stage;
     const uint32_t patrol = (loop.patrol.region << 16u) | loop.patrol.offset;
     (void)zygos_step(&loop);
     driver_mark();
-    const bool turned =
-        (sums->task != tasks[0]) || (arm->motor_sums.task != tasks[1]) || (arm->momentum_sums.task != tasks[2]);
+    const bool turned = (sums->task != tasks[0]) || (arm->sums.motors.store.task != tasks[1]) ||
+                        (arm->sums.momentum.store.task != tasks[2]);
     /* a cycle that is for the tasks of the energy rows asks nothing of the others */
     const uint32_t yields = (has_work && ((arm->cycles & 1u) == 0u)) ? 1u << 31u : 0u;
     /* what else a cycle has done, of which one part is enough: a joint row, or a task of the other rows */
-    const bool motors = (yields == 0) && (tasks[1] != ZYGOS_MOTOR_NONE);
-    const bool momentum = (yields == 0) && (tasks[2] != ZYGOS_MOMENTUM_NONE);
+    const bool motors = (yields == 0) && (tasks[1] != ZYGOS_STORE_NONE);
+    const bool momentum = (yields == 0) && (tasks[2] != ZYGOS_STORE_NONE);
     const uint32_t busy = ((row > 0) && (complete == 1u)) ? 3u : (motors ? 2u : (momentum ? 1u : 0u));
     const bool energy = (config->arc_cycles > 0);
     const bool instant = energy ? (arm->instant == 1) : (joints->accepted + joints->refused != instants);
     const uint32_t left = config->joint_row_cycles / 2u - arm->joint.position;
-    const bool others = ((config->impulse_arc_cycles > 0) && (arm->motor_sums.cycles <= 1)) ||
-                        ((config->momentum_arc_cycles > 0) && (arm->momentum_sums.cycles <= 1));
-    const bool edge = others || (energy && ((sums->arcs + sums->arcs_dropped != arcs) || (arm->arc <= 1)));
-    const bool first = (arm->arc <= (uint32_t)ZYGOS_BUFFER_ROWS); /* nothing is shared out yet */
+    const bool others = ((config->impulse_arc_cycles > 0) && (arm->sums.motors.store.cycles <= 1)) ||
+                        ((config->momentum_arc_cycles > 0) && (arm->sums.momentum.store.cycles <= 1));
+    const bool edge = others || (energy && ((sums->arcs + sums->arcs_dropped != arcs) || (arm->sums.arc <= 1)));
+    const bool first = (arm->sums.arc <= (uint32_t)ZYGOS_BUFFER_ROWS); /* nothing is shared out yet */
     const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
     const bool block = (energy && opened) || turned || (joints->segments != segments);
     const uint32_t kind = edge ? KIND_ARC : (block ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
-    const uint32_t first_link = ((arm->arc % sensors) == 1u) ? 1u : 0u; /* its noise was added: no part of a task */
+    const uint32_t first_link =
+        ((arm->sums.arc % sensors) == 1u) ? 1u : 0u; /* its noise was added: no part of a task */
     const bool hands = (arm->beside != 0) || (stage == (uint32_t)ZYGOS_STAGE_SOLVED);
     const uint32_t usual = hands ? KIND_HANDS : (instant ? kind : KIND_FILLS);
     return (place_t){
-        .kind = ((ending | arm->ending) != 0u) ? KIND_WAITS : usual,
+        .kind = ((ending | arm->sums.ending) != 0u) ? KIND_WAITS : usual,
         .frames = frames,
-        .turn = (arm->arc + sensors - 1u) % sensors,
-        .joint_turn = arm->motor_sums.cycles % config->joints,
-        .momentum_turn = arm->momentum_sums.cycles % (3u * (config->joints + 3u)),
+        .turn = (arm->sums.arc + sensors - 1u) % sensors,
+        .joint_turn = arm->sums.motors.store.cycles % config->joints,
+        .momentum_turn = arm->sums.momentum.store.cycles % (3u * (config->joints + 3u)),
         .filled = sums->filled,
         .torque_at = arm->balance.torque_at,
         .position = arm->smoother.position,
@@ -185,7 +186,7 @@ int main(void)
         return refuse("the configuration is refused");
     }
     zygos_receiver_init(&listener);
-    sizes.parameters = loop.state.column_map.parameters;
+    sizes.parameters = loop.state.sums.column_map.parameters;
     bool written = (semihosting_write(places, &sizes, sizeof sizes) == sizeof sizes);
     uint32_t frames = 0;
     for (uint32_t k = 0; k < head[2]; k++) {

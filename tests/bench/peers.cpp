@@ -93,15 +93,15 @@ extern "C" {
 
 __attribute__((noinline)) void peer_zygos_columns(const zygos_arm_state_t *state)
 {
-    zygos_kinematics(&arm.geometry, &arm.config, state, &arm.motion);
+    zygos_kinematics(&arm.geometry, &arm.sums.config, state, &arm.motion);
 }
 
 __attribute__((noinline)) void peer_zygos_sums(const zygos_arm_state_t *state)
 {
-    if (zygos_balance_row(&arm.balance, &arm.config, &arm.column_map, &arm.noise.integral_bias, state, &arm.motion,
-                          &arm.row)) {
-        if (!zygos_accumulator_add(&arm.accumulator, &arm.row, 1.0)) {
-            zygos_accumulator_proceed(&arm.accumulator);
+    if (zygos_balance_row(&arm.balance, &arm.sums.config, &arm.sums.column_map, &arm.noise.integral_bias, state,
+                          &arm.motion, &arm.row)) {
+        if (!zygos_accumulator_add(&arm.sums.energy, &arm.row, 1.0)) {
+            zygos_accumulator_proceed(&arm.sums.energy);
         }
     }
 }
@@ -182,7 +182,7 @@ int main(int count, char **argument)
         return 1;
     }
     Data data(model);
-    Sums sums(static_cast<Eigen::Index>(arm.accumulator.width)), own(10 * (joints + 1) + 3 * joints + 2);
+    Sums sums(static_cast<Eigen::Index>(arm.sums.energy.width)), own(10 * (joints + 1) + 3 * joints + 2);
     // Turn about, so that both see the same machine; the fastest round of each counts.
     double ours = 1e99, theirs = 1e99;
     for (int round = 0; round < rounds; round++) {
@@ -199,6 +199,6 @@ int main(int count, char **argument)
         }
     }
     std::printf("%.17g %.17g %.17g\n", ours, theirs,
-                sums.gram.trace() + own.gram.trace() + arm.accumulator.buffer[0].gram[0]);
+                sums.gram.trace() + own.gram.trace() + arm.sums.energy.buffer[0].gram[0]);
     return 0;
 }

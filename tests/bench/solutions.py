@@ -102,15 +102,15 @@ def bound(flown: Flight) -> Bound:
     joints_alone = flown.joints_alone
     energy, motors, momenta = (
         0 if joints_alone else int(count)
-        for count in (work.accumulator.open, work.motor_sums.count, work.momentum_sums.count)
+        for count in (work.sums.energy.closed, work.sums.motors.store.count, work.sums.momentum.store.count)
     )
-    rows = [float(group.count) for group in work.joint_sums.group][:-1]
+    rows = [float(group.count) for group in work.sums.joints.group][:-1]
     joints = sum(rows) > 0.0
     weighing = 1
     if not joints_alone:
         weighing += ROUND * (motors + momenta > 0 or joints) + ROUND * (momenta > 0) + JOINT_ROUNDS * joints
     gains = any(effect.kind.key == "torque_gain" for effect in flown.effects)
-    repeats = bool(work.guard.adopting) and not joints_alone
+    repeats = bool(work.sums.guard.adopting) and not joints_alone
     return Bound(energy, motors + momenta, len(rows) if joints else 0, weighing, gains, repeats)
 
 

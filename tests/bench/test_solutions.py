@@ -72,9 +72,9 @@ def test_the_header_and_the_documents_state_the_same_bound() -> None:
     once = Bound(0, 0, 0, weighing, gains=True, repeats=False).most
     newer = Bound(0, 0, 0, weighing - JOINT_ROUNDS, gains=True, repeats=False).most
     work = ffi.new("zygos_work_t *")
-    others = len(work.motor_sums.block) + len(work.momentum_sums.block)
-    groups = len(work.joint_sums.group) - 1
-    full = Bound(len(work.accumulator.block), others, groups, weighing, gains=True, repeats=True).most
+    others = len(work.sums.motors.block) + len(work.sums.momentum.block)
+    groups = len(work.sums.joints.group) - 1
+    full = Bound(len(work.sums.energy.block), others, groups, weighing, gains=True, repeats=True).most
     header = (ROOT / "include" / "zygos" / "priv" / "solver.h").read_text().replace("\n///", "")
     whole = f"3 B + {once + 2 * newer}"
     for text in (f"B + {once}", f"B + {newer}", f"{whole}, and {full} with the usual capacities"):

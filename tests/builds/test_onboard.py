@@ -167,7 +167,7 @@ def test_a_payload_starts_the_bodies_anew(program: Path, frames: NDArray[Any], a
     found = estimates(run([str(program), str(log_of(np.insert(frames, at, change), arm, tmp_path))], tmp_path))
     expected = Expected(arm)
     expected.frames(frames[:at])
-    assert expected.loop.state.accumulator.accepted > 0
+    assert expected.loop.state.sums.energy.accepted > 0
     expected.payload = True
     expected.known = {i: known for i, known in expected.known.items() if i >= len(arm.body_parameters)}
     expected.frames(frames[at:])

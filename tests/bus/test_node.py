@@ -97,7 +97,7 @@ def test_what_is_saved_is_the_librarys_own_memory(
     faults = {name.removeprefix("fault_"): n for name, n in counters.items() if name.startswith("fault_")}
     counts = {name.removeprefix("count_"): n for name, n in counters.items() if name.startswith("count_")}
     assert faults == flight.faults
-    assert counts == flight.counts | {"arcs": flight.native.accumulator.arcs}
+    assert counts == flight.counts | {"arcs": flight.native.sums.energy.arcs}
     expected = {"length", "crc", "range", "late", "repeated", "incomplete", "dropped", "bus_error", "counter"}
     assert {name for name, n in faults.items() if n} == expected
     assert [counters[f"node_{name}"] for name in NODE] == 6 * [0]
@@ -185,7 +185,7 @@ def goes_on(arm: Arm, config: Path, state: Path, second: Log) -> tuple[Twin, dic
     flight = Twin(arm)
     flight.resume(shutil.copy(state, state.with_name("first.zyg")))
     with Node("--config", config, "--state", state) as node:
-        assert f"goes on behind cycle {flight.native.cycle}" in node.first
+        assert f"goes on behind cycle {flight.native.sums.cycle}" in node.first
         node.send(second)
         counters = node.end()
     flight.hear(second)
@@ -205,7 +205,7 @@ def test_ended_and_resumed(arm: Arm, config: Path, frames: Log, syncs: Log, tmp_
     again, counters = goes_on(arm, config, state, frames[syncs[650] :])
     assert counters["count_accepted"] > 1050
     assert counters["fault_sync_jumped"] == 1
-    assert again.native.cycle == 1199
+    assert again.native.sums.cycle == 1199
 
 
 def test_killed_without_warning(arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_killed_without_warning(arm: Arm, config: Path, frames: Log, syncs: Log,
     flight.hear(frames[: syncs[450]])  # the newest is that of the 400th SYNC
     assert state.read_bytes() == flight.saved
     again, _ = goes_on(arm, config, state, frames[syncs[455] :])
-    assert again.native.cycle == 1199
+    assert again.native.sums.cycle == 1199
 
 
 @pytest.mark.slow(but=["0"])

@@ -30,7 +30,7 @@ def place_of(struct: str, *members: str | int) -> int:
     return int(ffi.offsetof(struct, *members))
 
 
-GRAM = place_of("zygos_arm_t", "accumulator", "block", 0, "gram", 0)
+GRAM = place_of("zygos_arm_t", "sums", "energy", "block", 0, "gram", 0)
 """An entry of the sums that is far from 0: the square of the first column."""
 
 
@@ -153,18 +153,18 @@ def test_corrupt_memory_is_not_saved_at_the_end(
     assert "memory was changed" in said
     assert state.read_bytes() == good
     stored = snapshot.read(state, "state")
-    assert stored.accumulator.accepted > 150
+    assert stored.sums.energy.accepted > 150
 
 
 @pytest.mark.slow(only=["columns*", "magic"])
 @pytest.mark.parametrize(
     ("where", "bit"),
     [
-        (place_of("zygos_arm_t", "config", "joint", 1, "gear_ratio") + 6, 5),
-        (place_of("zygos_arm_t", "config", "joints"), 0),
-        (place_of("zygos_arm_t", "config", "joint", 1, "node"), 1),
+        (place_of("zygos_arm_t", "sums", "config", "joint", 1, "gear_ratio") + 6, 5),
+        (place_of("zygos_arm_t", "sums", "config", "joints"), 0),
+        (place_of("zygos_arm_t", "sums", "config", "joint", 1, "node"), 1),
         (place_of("zygos_arm_t", "magic") + 3, 2),
-        (place_of("zygos_arm_t", "motor_sums", "column_map", "count", 0), 1),
+        (place_of("zygos_arm_t", "sums", "motors", "column_map", "count", 0), 1),
         (place_of("zygos_arm_t", "receiver", "queue", "head") + 2, 4),
     ],
     ids=["gear ratio", "joints", "node", "magic", "columns of the motor rows", "place in the queue"],
@@ -199,12 +199,18 @@ def test_other_memory_heals_too(where: int, bit: int, arm: Arm, config: Path, fr
 # ---------------------------------------------------------------- two generations
 
 
+def cycle_in(state: Path) -> int:
+    """Number of the newest cycle of a stored state."""
+    native = snapshot.read(state, "state")
+    return int(native.sums.cycle)
+
+
 def run_to(config: Path, state: Path, frames: Log, end: int) -> int:
     """Let a node hear these frames and save. Returns the cycle that it knows."""
     with Node("--config", config, "--state", state) as node:
         node.send(frames[:end])
         node.end()
-    return int(snapshot.read(state, "state").cycle)
+    return cycle_in(state)
 
 
 def went_on(config: Path, state: Path) -> int:
@@ -240,7 +246,7 @@ def generations(saved_twice: tuple[Path, int, int], tmp_path: Path) -> tuple[Pat
 def sealed_corrupt(path: Path) -> None:
     """Sums that were changed in memory, and then sealed with a CRC that fits."""
     native = snapshot.read(path, "state")
-    native.accumulator.block[0].gram[0] *= 2.0
+    native.sums.energy.block[0].gram[0] *= 2.0
     path.write_bytes(snapshot.seal("state", native))
 
 
@@ -269,7 +275,7 @@ def test_the_older_state_where_the_newest_cannot_be_used(
         assert state.with_name("state.zyg.unusable").exists() == (how != "gone")
         node.send(frames[syncs[190] : 300 + syncs[190]])
         node.end()
-    assert snapshot.read(state, "state").cycle > older
+    assert cycle_in(state) > older
     assert previous.read_bytes() == kept
 
 
@@ -285,7 +291,7 @@ def test_from_nothing_where_neither_can_be_used(
         assert "goes on behind" not in node.first
         node.send(frames[: syncs[60]])
         node.end()
-    assert snapshot.read(state, "state").cycle > 50
+    assert cycle_in(state) > 50
     first, second, third = node.complaints.splitlines()
     assert first.startswith(f"zygos-node: {state}: {reason}")
     assert first.endswith(f" {state}.unusable")
@@ -436,7 +442,7 @@ def test_what_stands_in_the_way_of_the_older_state_is_said_once(
     assert (code, counters["node_unsaved"]) == (0, 0)
     assert said.count("\n") == 1
     assert f"{state}: cannot be kept as {state}.previous (Is a directory); remedy: remove what stands there" in said
-    assert snapshot.read(state, "state").cycle == 98
+    assert cycle_in(state) == 98
 
 
 def test_a_pipe_is_no_state(config: Path, tmp_path: Path) -> None:

@@ -194,7 +194,7 @@ def test_it_goes_on_where_memory_was_changed(arm: Arm, config: Path, frames: Log
     """A sum of the estimator is corrupt: the library drops what is, and the refinement, which has sums of its own, goes
     on as that of the library in this process."""
     middle = np.flatnonzero(frames["id"] == SYNC)[420] + 1
-    entry = ffi.offsetof("zygos_arm_t", "accumulator", "block", 0, "gram", 0)
+    entry = ffi.offsetof("zygos_arm_t", "sums", "energy", "block", 0, "gram", 0)
     twin = Teller(arm, every=EVERY, refine=0.0)
     with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
         node.send(frames[:middle])

@@ -121,11 +121,11 @@ static void spoil_given(void)
 static void spoil_state(void)
 {
     const uint32_t magic = arm.state.magic;
-    const zygos_config_t before = arm.state.config;
+    const zygos_config_t before = arm.state.sums.config;
     spoil(&arm.state, sizeof arm.state);
     arm.state.magic = (below(4) == 0) ? arm.state.magic : magic;
     if (below(2) == 0) {
-        arm.state.config = before;
+        arm.state.sums.config = before;
     }
 }
 
@@ -133,12 +133,12 @@ static void spoil_state(void)
 static void spoil_counts(void)
 {
     zygos_arm_t *state = &arm.state;
-    uint32_t *const count[] = {
-        &state->config.joints,         &state->accumulator.width,   &state->accumulator.count,
-        &state->motor_sums.count,      &state->momentum_sums.count, &state->guard.parameters,
-        &state->momentum_sums.columns, &state->joint_sums.width,    &state->joint_sums.target,
-        &state->joint_sums.adding,     &state->accumulator.filling, &state->accumulator.parity
-    };
+    uint32_t *const count[] = { &state->sums.config.joints,        &state->sums.energy.width,
+                                &state->sums.energy.count,         &state->sums.motors.store.count,
+                                &state->sums.momentum.store.count, &state->sums.guard.parameters,
+                                &state->sums.momentum.columns,     &state->sums.joints.width,
+                                &state->sums.joints.target,        &state->sums.joints.adding,
+                                &state->sums.energy.filling,       &state->sums.energy.parity };
     for (uint32_t times = 1u + below(3); times > 0; times--) {
         *count[below(12)] = (below(2) == 0) ? (uint32_t)draw() : below(300);
     }

@@ -88,20 +88,18 @@ typedef struct {
 
 static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints, size_t momenta)
 {
-    static const region_t scalars[3] = { BETWEEN(zygos_accumulator_t, width, buffer),
-                                         BETWEEN(zygos_motor_sums_t, count, open),
+    static const region_t scalars[4] = { BETWEEN(zygos_accumulator_t, width, buffer),
+                                         BETWEEN(zygos_store_t, count, scan),
+                                         BETWEEN(zygos_motor_sums_t, column_map, noise),
                                          BETWEEN(zygos_momentum_sums_t, columns, noise_arc) };
     uint32_t n = 0;
     out[n++] = (region_t){ accumulator, scalars[0].size };
-    out[n++] = (region_t){ joints + scalars[1].offset, scalars[1].size };
-    out[n++] = (region_t){ momenta, scalars[2].size };
-    out[n++] = (region_t){ joints, sizeof(zygos_impulse_column_map_t) };
-    for (uint32_t s = 0; s < 2; s++) {
-        out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, arc) + s * sizeof(zygos_momentum_block_t) +
-                                   offsetof(zygos_momentum_block_t, instants),
-                               24 };
-    }
-    out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, closing.total), 24 };
+    out[n++] = (region_t){ joints, scalars[1].size };
+    out[n++] = (region_t){ momenta, scalars[1].size };
+    out[n++] = (region_t){ joints + scalars[2].offset, scalars[2].size };
+    out[n++] = (region_t){ momenta + scalars[3].offset, scalars[3].size };
+    out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, open.head), 24 };
+    out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, open.head), 24 };
     out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, order), ZYGOS_ORDER_PLACES };
     for (uint32_t s = 0; s < ZYGOS_ROW_BUFFERS; s++) {
         out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, buffer) + s * sizeof(zygos_row_buffer_t) +
@@ -115,12 +113,12 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
     }
     for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
         out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, block) + b * sizeof(zygos_motor_block_t) +
-                                   offsetof(zygos_motor_block_t, total),
+                                   offsetof(zygos_motor_block_t, head),
                                16 };
     }
     for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
         out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, block) + b * sizeof(zygos_momentum_block_t) +
-                                   offsetof(zygos_momentum_block_t, instants),
+                                   offsetof(zygos_momentum_block_t, head),
                                16 };
     }
     return n;
@@ -128,10 +126,10 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
 
 static uint32_t regions_of_state(region_t *out)
 {
-    uint32_t n = regions_of_sums(out, offsetof(zygos_arm_t, accumulator), offsetof(zygos_arm_t, motor_sums),
-                                 offsetof(zygos_arm_t, momentum_sums));
-    out[n++] = (region_t){ 0, offsetof(zygos_arm_t, config) };
-    out[n++] = (region_t){ offsetof(zygos_arm_t, column_map), sizeof(zygos_column_map_t) };
+    uint32_t n = regions_of_sums(out, offsetof(zygos_arm_t, sums.energy), offsetof(zygos_arm_t, sums.motors),
+                                 offsetof(zygos_arm_t, sums.momentum));
+    out[n++] = (region_t){ 0, offsetof(zygos_arm_t, sums.config) };
+    out[n++] = (region_t){ offsetof(zygos_arm_t, sums.column_map), sizeof(zygos_column_map_t) };
     out[n++] = (region_t){ offsetof(zygos_arm_t, receiver), offsetof(zygos_receiver_t, queue.slot) };
     out[n++] = (region_t){ offsetof(zygos_arm_t, previous), sizeof(zygos_previous_cycle_t) };
     out[n++] = (region_t){ offsetof(zygos_arm_t, smoother), 16 };
@@ -142,10 +140,10 @@ static uint32_t regions_of_state(region_t *out)
 
 static uint32_t regions_of_work(region_t *out)
 {
-    uint32_t n = regions_of_sums(out, offsetof(zygos_work_t, accumulator), offsetof(zygos_work_t, motor_sums),
-                                 offsetof(zygos_work_t, momentum_sums));
-    out[n++] = (region_t){ offsetof(zygos_work_t, config), sizeof(zygos_config_t) };
-    out[n++] = (region_t){ offsetof(zygos_work_t, cycle), 8 };
+    uint32_t n = regions_of_sums(out, offsetof(zygos_work_t, sums.energy), offsetof(zygos_work_t, sums.motors),
+                                 offsetof(zygos_work_t, sums.momentum));
+    out[n++] = (region_t){ offsetof(zygos_work_t, sums.config), sizeof(zygos_config_t) };
+    out[n++] = (region_t){ offsetof(zygos_work_t, sums.cycle), 8 };
     return n;
 }
 
@@ -189,9 +187,9 @@ static void forge_energy(zygos_accumulator_t *sums)
 {
     enum { MEMBERS = 11, PLACES = ZYGOS_ORDER_PLACES / 8 };
     const uint32_t width = (sums->width < (uint32_t)ZYGOS_MAX_ROW) ? sums->width : (uint32_t)ZYGOS_MAX_ROW;
-    uint64_t word[MEMBERS + PLACES] = { 0,           0,           sums->width,  sums->count,
-                                        sums->open,  sums->fresh, sums->newest, sums->window,
-                                        sums->ready, sums->arcs };
+    uint64_t word[MEMBERS + PLACES] = {
+        0, 0, sums->width, sums->count, sums->closed, sums->fresh, sums->newest, sums->window, sums->ready, sums->arcs
+    };
     memcpy(&word[0], &sums->enough, sizeof word[0]);
     memcpy(&word[1], &sums->target, sizeof word[0]);
     memcpy(&word[10], &sums->noise_fade, sizeof word[0]);
@@ -208,22 +206,30 @@ static void forge_energy(zygos_accumulator_t *sums)
     }
 }
 
+static void forge_store(zygos_store_t *store)
+{
+    const double numbers[2] = { store->target, store->noise_fade };
+    store->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, numbers, 2), store->count);
+    store->twin = zygos_store_twin(store);
+}
+
+static void forge_head(zygos_block_head_t *head, uint64_t checksum)
+{
+    const double numbers[2] = { head->total, head->fade };
+    head->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, numbers, 2), head->end);
+}
+
 static void forge(zygos_accumulator_t *sums, zygos_motor_sums_t *joints, zygos_momentum_sums_t *momenta)
 {
     forge_energy(sums);
-    joints->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, &joints->target, 1), joints->count);
+    forge_store(&joints->store);
     for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
         zygos_motor_block_t *block = &joints->block[b];
-        const double numbers[2] = { block->total, block->fade };
-        const uint64_t checksum = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
-        block->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, numbers, 2), block->end);
+        forge_head(&block->head, zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS));
     }
-    const double lengths[2] = { momenta->target, momenta->noise_fade };
-    momenta->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, lengths, 2), momenta->count);
+    forge_store(&momenta->store);
     for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
-        zygos_momentum_block_t *block = &momenta->block[b];
-        const double numbers[2] = { block->instants, block->fade };
-        block->checksum = zygos_checksum_number(zygos_checksum_doubles(1u, numbers, 2), block->end);
+        forge_head(&momenta->block[b].head, 1u);
     }
 }
 
@@ -277,12 +283,12 @@ static void upset(zygos_arm_t *self, const region_t *region, uint32_t regions)
         }
     } else {
         const uint32_t magic = self->magic;
-        const zygos_config_t configured = self->config;
+        const zygos_config_t configured = self->sums.config;
         for (size_t at = 0; at < sizeof *self; at++) {
             bytes[at] = (unsigned char)draw();
         }
         self->magic = magic;
-        self->config = (below(4) == 0) ? self->config : configured;
+        self->sums.config = (below(4) == 0) ? self->sums.config : configured;
     }
 }
 
@@ -360,8 +366,8 @@ int main(int count, char **argument)
     const uint32_t state_regions = regions_of_state(of_state);
     const uint32_t work_regions = regions_of_work(of_work);
     const uint32_t sums_regions =
-        regions_of_sums(of_sums, offsetof(zygos_arm_t, accumulator), offsetof(zygos_arm_t, motor_sums),
-                        offsetof(zygos_arm_t, momentum_sums));
+        regions_of_sums(of_sums, offsetof(zygos_arm_t, sums.energy), offsetof(zygos_arm_t, sums.motors),
+                        offsetof(zygos_arm_t, sums.momentum));
     uint64_t refused_state = 0;
     uint64_t refused_otherwise = 0;
     uint64_t resumed = 0;
@@ -376,7 +382,7 @@ int main(int count, char **argument)
         arm = good[from];
         change(&arm, sizeof arm, of_state, state_regions);
         if (k % 4u != 0) {
-            forge(&arm.accumulator, &arm.motor_sums, &arm.momentum_sums);
+            forge(&arm.sums.energy, &arm.sums.motors, &arm.sums.momentum);
         }
         check(zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1, "not sealed");
         check(zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, sizeof head + sizeof arm) == 1,
@@ -415,7 +421,7 @@ int main(int count, char **argument)
         zygos_arm_take(&good[from], &work);
         change(&work, sizeof work, of_work, work_regions);
         if (k % 4u != 0) {
-            forge(&work.accumulator, &work.motor_sums, &work.momentum_sums);
+            forge(&work.sums.energy, &work.sums.motors, &work.sums.momentum);
         }
         values += (zygos_work_solve(&work, &estimate) == 1) ? 1u : 0u;
         corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;

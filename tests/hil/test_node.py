@@ -139,7 +139,7 @@ def test_the_interface_goes_down_and_away_and_comes_back(own_interface: str, pla
     dut.own("its interface is not ours to remove")
     blob, said, out = dut.folder / "own.zyg", dut.folder / "own.stderr", dut.folder / "own.stdout"
     flight = Flight(plant.arm)
-    snapshot.write(blob, "configuration", ffi.addressof(flight.native, "config"))
+    snapshot.write(blob, "configuration", ffi.addressof(flight.native, "sums", "config"))
     with said.open("wb") as errors, out.open("wb") as output:
         node = subprocess.Popen(
             [Path(dut.command).resolve(), "-i", own_interface, "--config", blob], stdout=output, stderr=errors

@@ -109,7 +109,7 @@ def test_from_frames_to_the_estimate(name: str, target: str, tmp_path: Path, agr
             measured(target, build.name, sizes)
             estimate = flight.ffi.from_buffer("zygos_estimate_t *", host[-2].data)
             assert estimate.validity >= (2 if case.example == "paper" else 0)
-        joints = flight.ffi.from_buffer("zygos_arm_t *", host[-1].data).joint_sums
+        joints = flight.ffi.from_buffer("zygos_arm_t *", host[-1].data).sums.joints
         assert not case.motion or joints.segments > flight.lib.ZYGOS_JOINT_GROUPS_VALUE
 
 
@@ -278,6 +278,6 @@ def test_a_configuration_is_refused_for_the_same_reason(target: str, tmp_path: P
 def test_the_place_of_a_byte() -> None:
     with capacities(*PAPER.defines):
         kind = flight.ffi.typeof("zygos_arm_t")
-        offset = flight.ffi.offsetof("zygos_arm_t", "accumulator", "block", 3, "gram", 5)
-        assert place(kind, offset + 7) == ".accumulator.block[3].gram[5]"
+        offset = flight.ffi.offsetof("zygos_arm_t", "sums", "energy", "block", 3, "gram", 5)
+        assert place(kind, offset + 7) == ".sums.energy.block[3].gram[5]"
         assert place(kind, 0) == ".magic"

@@ -103,21 +103,21 @@ def flipped(flight: Flight, byte: int, bit: int) -> None:
 
 def sums_of(flight: Flight) -> list[tuple[int, int]]:
     """Places and lengths in zygos_arm_t of the sums that are in use."""
-    arm, sums = flight.arm, flight.native.accumulator
+    arm, sums = flight.arm, flight.native.sums.energy
     p = len(flight.names)
     row, noise = 4 * (p + 2) * (p + 3), 4 * (p + 1) * (p + 2)
-    at = ffi.offsetof("zygos_arm_t", "accumulator")
+    at = ffi.offsetof("zygos_arm_t", "sums", "energy")
     block, buffer = ffi.sizeof("zygos_block_t"), ffi.sizeof("zygos_row_buffer_t")
     shares = ("noise_open", sums.parity), ("noise_open", sums.parity ^ 1), ("noise_closed", 0)
     own = ffi.sizeof("zygos_noise_sums_t")
     out = [(at + ffi.offsetof("zygos_accumulator_t", name) + n * own, noise) for name, n in shares]
     out += [(at + ffi.offsetof("zygos_accumulator_t", "block") + b * block, row) for b in range(sums.count)]
     out += [(at + ffi.offsetof("zygos_accumulator_t", "buffer") + b * buffer, row) for b in range(2)]
-    at = ffi.offsetof("zygos_arm_t", "motor_sums")
+    at = ffi.offsetof("zygos_arm_t", "sums", "motors")
     own, whole = ffi.sizeof("zygos_motor_gram_t"), ffi.sizeof("zygos_motor_block_t")
     places = [at + ffi.offsetof("zygos_motor_sums_t", "open")]
     first = at + ffi.offsetof("zygos_motor_sums_t", "block")
-    places += [first + b * whole for b in range(flight.native.motor_sums.count)]
+    places += [first + b * whole for b in range(flight.native.sums.motors.store.count)]
     return out + [(place + i * own, 8 * 15) for place in places for i in range(arm.n)]
 
 
@@ -153,8 +153,8 @@ def test_a_wrong_count_of_an_arc_is_noticed(bit: int) -> None:
     run, _ = lively()
     flight = Flight(run.arm)
     flight.cycles(read(run, 5))
-    flight.native.accumulator.arc_instants ^= 1 << bit
-    assert flight.native.accumulator.arc_instants >= lib.ZYGOS_MIN_ARC_INSTANTS_VALUE
+    flight.native.sums.energy.arc_instants ^= 1 << bit
+    assert flight.native.sums.energy.arc_instants >= lib.ZYGOS_MIN_ARC_INSTANTS_VALUE
     assert flight.estimate().reason == CORRUPT
 
 
@@ -168,5 +168,5 @@ def test_a_long_arc_is_not_corrupt() -> None:
     sync, flags = np.arange(n, dtype=np.uint64), np.zeros(n, dtype=np.uint32)
     flight = Flight(arm)
     flight.cycles(Cycles(sync, noise.link[0], noise.motor[0], zero, noise.gyro[0], flags))
-    assert flight.native.momentum_sums.cycles > 120_000
+    assert flight.native.sums.momentum.store.cycles > 120_000
     assert flight.estimate().reason != CORRUPT

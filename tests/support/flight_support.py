@@ -158,7 +158,7 @@ class Bus:
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
         self.flight = Flight(arm)
-        self.config = self.flight.native.config
+        self.config = self.flight.native.sums.config
 
     def frame(self, message: int, node: int, counter: int, **fields: Any) -> Any:
         """Encode a frame of the cycle with this SYNC counter."""

@@ -88,4 +88,4 @@ def _limit(found: Sequence[float], run: tuple[float, float], n: float, freedom: 
 
 def contradiction(flight: Flight) -> Floats:
     """(3,) residuals of the newest arc of each kind of rows over their limit. No other test knows where they are."""
-    return np.array(list(flight.native.guard.contradiction))
+    return np.array(list(flight.native.sums.guard.contradiction))

@@ -110,15 +110,16 @@ class Rooms:
 def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = (), noise: bool = False) -> Rooms:
     """Feed cycles to a `Flight` and its states to the two rooms; both begin an arc after `longest` instants."""
     flight = Flight(arm, effects)
-    native, config = flight.native, ffi.addressof(flight.native, "config")
+    native, config = flight.native, ffi.addressof(flight.native, "sums", "config")
     impulse, momentum = ffi.new("zygos_impulse_t *"), ffi.new("zygos_momentum_t *")
     column_map = ffi.new("zygos_impulse_column_map_t *")
     pushed = ffi.new("zygos_impulse_rows_t *")
-    parts = [ffi.addressof(native, name) for name in ("column_map", "arm_state", "motion")]
+    names = (("sums", "column_map"), ("arm_state",), ("motion",))
+    parts = [ffi.addressof(native, *name) for name in names]
     lib.zygos_impulse_column_map(config, column_map)
     lib.zygos_impulse_reset(impulse)
     lib.zygos_momentum_reset(momentum)
-    width = native.column_map.kinetic + arm.n
+    width = native.sums.column_map.kinetic + arm.n
     rows = lib.zygos_momentum_count(config)
     line = ffi.new("double[]", width)
     variance, rotor = ffi.new("double[]", arm.n + 3), ffi.new("double[]", arm.n)

@@ -50,23 +50,22 @@ def again(arm: Arm, motion: Cycles, first: int, rng: np.random.Generator) -> Cyc
 def fly(flight: Flight, motion: Cycles, times: int, rng: np.random.Generator) -> None:
     """Repeat the motion behind what the flight has seen."""
     for _ in range(times):
-        flight.cycles(again(flight.arm, motion, int(flight.native.cycle) + 1, rng))
+        flight.cycles(again(flight.arm, motion, int(flight.native.sums.cycle) + 1, rng))
 
 
 def instants(flight: Flight) -> dict[str, list[float]]:
     """Of the blocks of closed arcs."""
-    energy, motors, momentum = flight.native.accumulator, flight.native.motor_sums, flight.native.momentum_sums
+    energy, motors, momentum = flight.native.sums.energy, flight.native.sums.motors, flight.native.sums.momentum
     return {
-        "energy": [energy.block[place].fade * energy.block[place].instants for place in energy.order[0 : energy.open]],
-        "motors": [motors.block[b].fade * motors.block[b].total for b in range(motors.count)],
-        "momentum": [momentum.block[b].fade * momentum.block[b].instants for b in range(momentum.count)],
+        "energy": [
+            energy.block[place].fade * energy.block[place].instants for place in energy.order[0 : energy.closed]
+        ],
+        "motors": [block.head.fade * block.head.total for block in motors.block[0 : motors.store.count]],
+        "momentum": [block.head.fade * block.head.total for block in momentum.block[0 : momentum.store.count]],
     }
 
 
 def settle(flight: Flight) -> None:
     """Finish the tasks that go on beside the cycles."""
-    names = ("guard", "config", "column_map", "accumulator", "motor_sums", "momentum_sums")
-    guard, config, columns, energy, motors, momentum = (ffi.addressof(flight.native, name) for name in names)
-    lib.zygos_guard_settle_energy(guard, config, energy)
-    lib.zygos_guard_settle_motors(guard, config, columns, motors)
-    lib.zygos_guard_settle_momentum(guard, config, columns, momentum)
+    for kind in range(lib.ZYGOS_KINDS_OF_ROWS):
+        lib.zygos_guard_settle(ffi.addressof(flight.native, "sums"), kind)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -92,10 +92,11 @@ def leaves(kind: Any, path: str = "", offset: int = 0, sizeof: Callable[[Any], i
 
 @cache
 def members(struct: str = "zygos_arm_t") -> dict[str, list[Leaf]]:
-    """The numbers of a struct by member."""
+    """The numbers of a struct by member. Those of its sums (zygos_sums_t) count as its own."""
     out = defaultdict(list)
     for leaf in leaves(ffi.typeof(struct)):
-        out[leaf.member].append(leaf)
+        named = replace(leaf, path=leaf.path.removeprefix("sums."))
+        out[named.member].append(named)
     return out
 
 
@@ -153,13 +154,13 @@ def beside_sums(native: Any, rng: np.random.Generator, each: int = 2) -> list[Pl
 
 def config_of_its_own(flight: Flight) -> Any:
     """The caller's own configuration, as zygos_arm_scrub() wants it."""
-    return ffi.new("zygos_config_t *", flight.native.config)
+    return ffi.new("zygos_config_t *", flight.native.sums.config)
 
 
 def lose_the_way(flight: Flight) -> Place:
     """Flip a bit of an index or a count, so that it is impossible and nothing but zygos_arm_scrub() may go on."""
     config, work = config_of_its_own(flight), ffi.new("zygos_work_t *")
-    for place in one_of_each(flight.native, np.random.default_rng(0), without=("config", "magic")):
+    for place in one_of_each(flight.native, np.random.default_rng(0), without=("config", "magic", "receiver")):
         if place.leaf.kind == "uint32_t":
             place.flip(flight.native, 20)
             if lib.zygos_arm_check(flight.native, config, work) == lib.ZYGOS_E_STATE:

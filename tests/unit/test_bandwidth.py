@@ -40,7 +40,7 @@ def refused(arm: Arm, angles: Floats) -> tuple[float, Estimate]:
     cycles = cycles_of(angles)
     flight = Flight(arm)
     flight.cycles(cycles)
-    sums = flight.native.joint_sums
+    sums = flight.native.sums.joints
     accepted = smooth(arm, calibrate(arm, cycles)).accepted
     assert (sums.accepted, sums.refused) == (accepted.sum(), (~accepted).sum())
     return float(np.mean(~accepted)), flight.estimate()

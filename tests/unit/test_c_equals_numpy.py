@@ -92,8 +92,8 @@ def test_bandwidth_verdicts(both: Both) -> None:
 def test_arcs_and_counts(both: Both) -> None:
     work = ffi.new("zygos_work_t *")
     lib.zygos_arm_take(both.flight.native, work)
-    lib.zygos_accumulator_end_arc(ffi.addressof(work, "accumulator"), work.cycle)
-    sums, design, counts = work.accumulator, both.chain.design, both.flight.counts
+    lib.zygos_accumulator_end_arc(ffi.addressof(work, "sums", "energy"), work.sums.cycle)
+    sums, design, counts = work.sums.energy, both.chain.design, both.flight.counts
     assert (sums.arcs, sums.arcs_dropped) == (design.arcs, design.dropped_arcs)
     assert (sums.accepted, sums.refused) == (len(design.w), design.refused)
     assert counts["wraps"] == both.chain.samples.wraps

@@ -325,7 +325,7 @@ def test_what_was_changed_or_is_not_there_is_not_compared() -> None:
         assert lib.zygos_detect_change(*given) == lib.ZYGOS_E_NULL
     for joints, reason in ((arm.n, lib.ZYGOS_REASON_NO_DATA), (2**20, lib.ZYGOS_REASON_CORRUPT)):
         lib.zygos_arm_take(flight.native, work)
-        work.config.joints = joints
+        work.sums.config.joints = joints
         assert lib.zygos_detect_change(work, known, deviation) == 0
         assert (known.validity, known.reason) == (lib.ZYGOS_REFUSED, reason)
         assert np.isnan(list(deviation)[: lib.ZYGOS_MAX_PARAMETERS_VALUE]).all()

@@ -60,14 +60,14 @@ def test_what_nobody_changed_passes(flight: Flight) -> None:
 
 
 def test_misuse_is_refused(flight: Flight) -> None:
-    own = ffi.addressof(flight.native, "config")
+    own = ffi.addressof(flight.native, "sums", "config")
     for arguments in ((ffi.NULL, own, WORK), (flight.native, ffi.NULL, WORK), (flight.native, own, ffi.NULL)):
         assert lib.zygos_arm_check(*arguments) == lib.ZYGOS_E_NULL
     assert lib.zygos_arm_check(ffi.new("zygos_arm_t *"), own, WORK) == lib.ZYGOS_E_ORDER
     other = ffi.new("zygos_config_t *", own[0])
     other.period_s += 1e-3
     assert lib.zygos_arm_check(flight.native, other, WORK) == lib.ZYGOS_E_CONFIG
-    assert not lib.zygos_work_intact(ffi.NULL)
+    assert not lib.zygos_sums_end_copy(ffi.NULL)
     own.joints = 1000
     assert lib.zygos_arm_check(flight.native, own, WORK) == lib.ZYGOS_E_STATE
 
@@ -87,7 +87,7 @@ def magic(flight: Flight) -> None:
 
 
 def gear_ratio(flight: Flight) -> None:
-    flight.native.config.joint[1].gear_ratio *= 2.0
+    flight.native.sums.config.joint[1].gear_ratio *= 2.0
 
 
 CHANGES: dict[Any, int] = {
@@ -119,14 +119,14 @@ def test_a_restart_heals_sums_and_tables(flight: Flight) -> None:
             one.flip(flight.native, one.bits(rng, 2)[1])
         assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
         flight.cycles(rest)
-        np.testing.assert_array_equal(flight.estimate().value, expected.value)
+        np.testing.assert_array_equal(flight.estimate().value, expected.value, err_msg=f"{place} and {other}")
     assert check(flight) == 1
     assert np.isfinite(expected.value).any()
 
 
 def test_a_restart_refuses_a_configuration_that_cannot_be(flight: Flight) -> None:
     """What follows from it would lie anywhere. zygos_arm_init() with a good one heals that, too."""
-    flight.native.config.joints ^= 1 << 20
+    flight.native.sums.config.joints ^= 1 << 20
     before = bytes_of(flight.native)
     assert lib.zygos_arm_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == lib.ZYGOS_E_JOINTS
     assert bytes_of(flight.native) == before

@@ -92,7 +92,7 @@ def aged(flight: Flight, file: Path) -> Flight:
     for name in ("cycles", "gaps", "invalid", "wraps", "apart"):
         setattr(image, name, HALF - 2)
     later = (HALF - 600) // 240 * 240
-    image.cycle += later
+    image.sums.cycle += later
     image.receiver.assembly.sync += later
     image.receiver.assembly.time_sync += later
     accepted_so_far(flight).values(image)[0] += DIGITS - 100
@@ -127,7 +127,7 @@ def test_every_counter_goes_on(arm: Arm, noisy: Trajectory, tmp_path: Path) -> N
         assert old.counts[name] - before[old][1][name] == young.counts[name] - before[young][1][name], name
     assert old.counts["gaps"] > HALF
     assert old.counts["accepted"] > DIGITS
-    assert old.native.cycle > HALF
+    assert old.native.sums.cycle > HALF
     assert (old.estimate().validity, old.estimate().reason) == ("valid", "")
     assert same(old.estimate(), young.estimate())
 
@@ -137,13 +137,13 @@ def test_every_counter_goes_on(arm: Arm, noisy: Trajectory, tmp_path: Path) -> N
 def test_what_was_forgotten_long_ago_is_nothing_and_not_corrupt(arm: Arm, motion: Cycles, keep: float) -> None:
     """Hours of arcs that are too short to count: all that was known fades, below what doubles can hold."""
     flight, rng = Flight(with_all_rows(arm)), np.random.default_rng(0)
-    flight.native.config.forgetting_factor = keep
-    assert lib.zygos_arm_init(flight.native, ffi.addressof(flight.native, "config")) == 1
+    flight.native.sums.config.forgetting_factor = keep
+    assert lib.zygos_arm_init(flight.native, ffi.addressof(flight.native, "sums", "config")) == 1
     fly(flight, motion, 2, rng)
     short = part(again(flight.arm, motion, 1, rng), 0, 25)
     seen = set()
     for number in range(2500):
-        flight.cycles(replace(short, sync=short.sync + np.uint64(int(flight.native.cycle) + 2)))
+        flight.cycles(replace(short, sync=short.sync + np.uint64(int(flight.native.sums.cycle) + 2)))
         if number % 100 == 0:
             seen.add(flight.estimate().reason)
     assert "the accumulated sums are corrupt: memory was changed from outside" not in seen

@@ -488,7 +488,7 @@ def test_frames_stay_inside_the_queue_where_its_place_was_changed(
     first = native.receiver.queue.slot[0]
     assert 0.0 < first.q[1] < 1.0 and 0.0 < first.omega[0] < 1.0
     assert lib.zygos_arm_step(native) == lib.ZYGOS_E_STATE
-    pristine = ffi.new("zygos_config_t *", native.config)
+    pristine = ffi.new("zygos_config_t *", native.sums.config)
     assert lib.zygos_arm_scrub(native, pristine) & lib.ZYGOS_SCRUBBED_PLACES
     assert lib.zygos_arm_step(native) == 0
 
@@ -510,7 +510,7 @@ def test_a_cycle_is_not_used_if_its_readings_change_before_it_is_processed(
     bus.send(*bus.data(13))
     if waits:
         bus.send(bus.sync(14))
-    queue, gaps, number = native.receiver.queue, int(native.gaps), int(native.cycle)
+    queue, gaps, number = native.receiver.queue, int(native.gaps), int(native.sums.cycle)
     slot = queue.slot[queue.tail]
     place = ffi.cast("uint8_t *", ffi.addressof(slot, member))
     place[0] ^= 8
@@ -518,12 +518,12 @@ def test_a_cycle_is_not_used_if_its_readings_change_before_it_is_processed(
         bus.send(bus.sync(14))  # which gives it its number and flags
     spoilt = waits or member not in ("sync", "flags")
     assert lib.zygos_arm_step(native) == 1
-    assert (native.invalid, native.gaps - gaps, native.cycle - number) == ((1, 1, 0) if spoilt else (0, 0, 1))
+    assert (native.invalid, native.gaps - gaps, native.sums.cycle - number) == ((1, 1, 0) if spoilt else (0, 0, 1))
     bus.send(*bus.data(14))
     bus.cycles(15, 2)
     while lib.zygos_arm_step(native) == 1:
         pass
-    assert (native.invalid, native.cycle - number) == (1 if spoilt else 0, 3)
+    assert (native.invalid, native.sums.cycle - number) == (1 if spoilt else 0, 3)
     assert bus.faults() == {}
 
 

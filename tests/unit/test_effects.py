@@ -534,20 +534,20 @@ def test_a_link_encoders_zero_turns_the_bodies_behind_it(tmp_path: Path, joint: 
 def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 0) -> Any:
     """The solver's answer to rows (n, 12 + effects) that are given to the accumulator itself."""
     work, out, row = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("zygos_row_t *")
-    sums = ffi.addressof(work, "accumulator")
+    sums = ffi.addressof(work, "sums", "energy")
     count = columns.shape[1]
     lib.zygos_accumulator_init(sums, count, lib.ZYGOS_MIN_ARC_INSTANTS_VALUE, 0.02)
-    work.config.joints, work.config.effects, work.config.arc_cycles = joints, count - 12, len(columns)
+    work.sums.config.joints, work.sums.config.effects, work.sums.config.arc_cycles = joints, count - 12, len(columns)
     cannot, can = (
         (lib.ZYGOS_MOTOR_COULOMB, lib.ZYGOS_MOTOR_VISCOUS),
         (lib.ZYGOS_CUBIC_STIFFNESS, lib.ZYGOS_SPRING_OFFSET),
     )
     for e in range(count - 12):
-        work.config.effect[e].kind = (cannot if positive >> e & 1 else can)[e // 2]
-        work.config.effect[e].joint = e % 2
-    lib.zygos_impulse_column_map(ffi.addressof(work, "config"), ffi.addressof(work.motor_sums, "column_map"))
-    lib.zygos_motor_sums_clear(ffi.addressof(work, "motor_sums"), ffi.addressof(work, "config"))
-    lib.zygos_momentum_sums_clear(ffi.addressof(work, "momentum_sums"), ffi.addressof(work, "config"))
+        work.sums.config.effect[e].kind = (cannot if positive >> e & 1 else can)[e // 2]
+        work.sums.config.effect[e].joint = e % 2
+    lib.zygos_impulse_column_map(ffi.addressof(work, "sums", "config"), ffi.addressof(work.sums.motors, "column_map"))
+    for kind in (lib.ZYGOS_MOTOR_ROWS, lib.ZYGOS_MOMENTUM_ROWS):
+        lib.zygos_sums_clear(ffi.addressof(work, "sums"), kind)
     for column, done in zip(columns, work_done, strict=True):
         row.column[0:count] = column.tolist()
         row.work = float(done)

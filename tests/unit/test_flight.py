@@ -198,7 +198,7 @@ def test_the_binding_names_what_the_library_refuses(tmp_path: Path) -> None:
 def test_init_with_its_own_configuration(arm: Arm) -> None:
     """Starting again from the configuration inside the struct itself."""
     flight = fed(arm, sines(arm, 100))
-    assert lib.zygos_arm_init(flight.native, ffi.addressof(flight.native, "config")) == 1
+    assert lib.zygos_arm_init(flight.native, ffi.addressof(flight.native, "sums", "config")) == 1
     assert bytes_of(flight.native) == bytes_of(Flight(arm).native)
 
 

@@ -39,7 +39,7 @@ KINDS = list(product((1, 2, 3, 7), ("free", "fixed"), ("spatial", "planar", "pla
 def rows_of(arm: Arm, cycles: Cycles, effects: tuple[Effect, ...] = ()) -> tuple[Floats, Floats, Floats]:
     """Columns (m, N, c) before they are reduced, right sides (m, N) and whether they count (m,), cycle by cycle."""
     flight = Flight(arm, effects)
-    native, count = flight.native, flight.native.column_map.count
+    native, count = flight.native, flight.native.sums.column_map.count
     found: list[tuple[Floats, float, float]] = []
     for k in range(len(cycles)):
         turn, complete = native.joint.turn, native.joint.halves == 3
@@ -213,7 +213,7 @@ def test_a_run_in_pieces_of_any_length_gives_the_same_sums() -> None:
 
 def noise_of_all(flight: Flight) -> Floats:
     """What the estimate that was made last knows of the noise of joint rows, (p, p). Nothing else tells of it."""
-    sums = flight._work.joint_sums
+    sums = flight._work.sums.joints
     return symmetric(sums.noise.gram, sums.width)[:-1, :-1]
 
 
@@ -372,7 +372,7 @@ def test_a_sigma_is_compared_with_the_largest_moment_or_the_parameter_itself() -
     flight.cycles(known.cycles())
     assert flight.estimate().validity != "refused"
     work = flight._work
-    columns, p = work.column_map, work.column_map.parameters
+    columns, p = work.sums.column_map, work.sums.column_map.parameters
     assert columns.kinetic < columns.body < p == columns.count
     size, solution = np.array(list(work.solver.size[0:p])), np.abs(list(work.solver.solution[0:p]))
     moments, behind = slice(columns.kinetic, columns.body), slice(columns.body, p)
@@ -393,7 +393,8 @@ def reduced(arm: Arm, matrix: Floats) -> int:
 def test_values_of_columns_are_those_of_the_matrix_whatever_stood_in_their_place() -> None:
     arm, values = arm_of_known_lengths()
     effects = (effect("motor_coulomb", "joint1"), effect("cubic_stiffness", "joint2"))
-    config, columns = config_of(arm, effects), Flight(arm, effects).native.column_map
+    config, flight = config_of(arm, effects), Flight(arm, effects)
+    columns = flight.native.sums.column_map
     matrix = np.zeros((columns.effects, len(values)))
     for entry in list(config.reduction)[: config.reductions]:
         matrix[entry.column, entry.parameter] = entry.factor
@@ -405,7 +406,7 @@ def test_values_of_columns_are_those_of_the_matrix_whatever_stood_in_their_place
 def test_effects_have_their_places_behind_the_independent_parameters() -> None:
     arm, values = arm_of_known_lengths()
     flight = Flight(arm, (effect("motor_coulomb", "joint1"), effect("cubic_stiffness", "joint2")))
-    places = flight.native.column_map
+    places = flight.native.sums.column_map
     assert places.reduced == len(values) < places.effects
     assert list(places.place)[places.effects : places.effects + 2] == [len(values), len(values) + 1]
 
@@ -554,9 +555,9 @@ def test_a_parameter_whose_place_cannot_be_leads_to_no_other_memory() -> None:
     flight = Flight(arm)
     cycles = sines(arm, 400)
     flight.cycles(part(cycles, 0, 200))
-    pristine = ffi.new("zygos_config_t *", flight.native.config)
+    pristine = ffi.new("zygos_config_t *", flight.native.sums.config)
     assert lib.zygos_arm_scrub(flight.native, pristine) == 0
-    flight.native.column_map.place[flight.native.column_map.joint[2]] = 2**31
+    flight.native.sums.column_map.place[flight.native.sums.column_map.joint[2]] = 2**31
     flight.cycles(part(cycles, 200, 400))
     assert lib.zygos_arm_scrub(flight.native, pristine) & lib.ZYGOS_SCRUBBED_TABLES
     assert lib.zygos_arm_scrub(flight.native, pristine) == 0

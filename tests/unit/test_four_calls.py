@@ -24,8 +24,8 @@ from zygos.simulation.scenario import load_scenario
 KINDS = ("planar", "spatial", "ground")
 """Arms with rows of every kind."""
 CUT = {
-    lib.ZYGOS_ENERGY_ROWS: ("accumulator", "arc"), lib.ZYGOS_MOTOR_ROWS: ("motor_sums",),
-    lib.ZYGOS_MOMENTUM_ROWS: ("momentum_sums",), 3: ("joint_sums", "joints_forgetting"), 4: ("guard", "cycle", "checksum"),
+    lib.ZYGOS_ENERGY_ROWS: ("energy", "arc"), lib.ZYGOS_MOTOR_ROWS: ("motors",),
+    lib.ZYGOS_MOMENTUM_ROWS: ("momentum",), 3: ("joints",), 4: ("guard", "cycle", "checksum"),
 }  # fmt: skip
 """What each cut of the hand-over is of, by ``zygos_handover_t.kind``."""
 WRITTEN = ("value", "sigma", "half95", "covariance", "solution")
@@ -88,12 +88,15 @@ def test_the_copy_by_parts_is_that_of_one_moment(kind: str) -> None:
         loop.cycle(array + k)
         if cuts and handover.cut == 1 and handover.kind == before:
             for name in CUT[before]:
-                setattr(whole, name, getattr(now, name))
+                setattr(whole.sums, name, getattr(now.sums, name))
             if before in range(lib.ZYGOS_KINDS_OF_ROWS):
-                whole.ending = (whole.ending & ~(1 << before)) | (now.ending & (1 << before))
-                whole.ended[before], whole.ended_forgetting[before] = now.ended[before], now.ended_forgetting[before]
+                whole.sums.ending = (whole.sums.ending & ~(1 << before)) | (now.sums.ending & (1 << before))
+                for name in ("ended", "ended_forgetting"):
+                    getattr(whole.sums, name)[before] = getattr(now.sums, name)[before]
+            if before < len(now.sums.forgetting):
+                whole.sums.forgetting[before] = now.sums.forgetting[before]
         if loop.native.stage == GIVEN and loop.memory.compares == 0:
-            whole.config = loop.config[0]
+            whole.sums.config = loop.config[0]
             once = ffi.new("zygos_estimate_t *")
             lib.zygos_work_solve(whole, once)
             assert loop.solve() == 1
@@ -117,13 +120,13 @@ def test_the_loop_learns_what_one_solution_of_all_does() -> None:
     once = flight.estimate()
     last = found[-1]
     assert last.validity == lib.ZYGOS_VALID
-    assert loop.state.guard.known == 1
+    assert loop.state.sums.guard.known == 1
     value, sigma = (np.array(list(getattr(last, name)))[: len(once.value)] for name in ("value", "sigma"))
     true = load_model(EXAMPLE / "model.toml").base_values(arm)
     assert np.all(np.abs(value - true) < 3.0 * sigma)
     assert np.all(np.abs(value - once.value) < 2.0 * sigma)
     assert sigma == pytest.approx(once.sigma, rel=0.5), "blocks that end elsewhere scatter otherwise"
-    kept = loop.state.accumulator.accepted / max(flight.native.accumulator.accepted, 1)
+    kept = loop.state.sums.energy.accepted / max(flight.native.sums.energy.accepted, 1)
     assert kept > 0.98, "arcs that waited for the copies have cost few rows"
 
 
@@ -144,7 +147,7 @@ def test_frames_give_what_cycles_give() -> None:
     plain = Flight(arm)
     plain.frames(encode(arm, cycles))
     assert taken == plain.native.cycles == loop.state.cycles
-    ours, other = (ffi.buffer(ffi.addressof(one, "accumulator"))[:] for one in (loop.state, plain.native))
+    ours, other = (ffi.buffer(ffi.addressof(one, "sums", "energy"))[:] for one in (loop.state, plain.native))
     assert ours == other
 
 
@@ -208,7 +211,7 @@ def test_an_estimate_of_the_sums_before_a_restart_is_not_returned() -> None:
     for further in range(2):  # verified in one cycle, adopted in the next
         loop.cycle(array + k + further)
     assert loop.native.stage == IDLE
-    assert loop.state.guard.known == 0
+    assert loop.state.sums.guard.known == 0
     assert lib.zygos_restart(loop.native, 64) == lib.ZYGOS_E_KEEP
 
 
@@ -273,11 +276,11 @@ def test_a_stored_state_goes_on_and_says_so() -> None:
     arm, motion = recording()
     cycles = again(arm, motion, 1, np.random.default_rng(6))
     loop, _ = flown(arm, part(cycles, 0, 800))
-    accepted = int(loop.state.accumulator.accepted)
+    accepted = int(loop.state.sums.energy.accepted)
     head, image = stored_state(loop)
     further = Loop(config_of(arm))
     assert resumed(further, head, image) == 1
-    assert further.state.accumulator.accepted == accepted
+    assert further.state.sums.energy.accepted == accepted
     array, last = native_cycles(cycles), None
     for k in range(800, len(cycles)):
         further.cycle(array + k)
@@ -301,7 +304,7 @@ def test_a_state_that_cannot_be_used_is_refused() -> None:
     # changed before it was sealed: the CRC is right, and the sums are not
     damaged = ffi.new("zygos_arm_t *")
     ffi.buffer(damaged)[:] = image
-    damaged.accumulator.block[damaged.accumulator.order[0]].gram[3] *= 2.0
+    damaged.sums.energy.block[damaged.sums.energy.order[0]].gram[3] *= 2.0
     lib.zygos_snapshot_seal(lib.ZYGOS_SNAPSHOT_STATE, damaged, head)
     assert resumed(fresh, head, bytes(ffi.buffer(damaged))) == lib.ZYGOS_E_SUMS
 
@@ -358,8 +361,8 @@ def patrol(loop: Loop, array: Any, first: int) -> list[int]:
 def test_the_patrol_repairs_what_was_changed(begun: tuple[Loop, Any, int], where: str) -> None:
     loop, array, k = begun
     if where == "configuration":
-        loop.state.config.joint[0].motor_zero_rad += 0.25
-        changed = loop.state.config.joint[0]
+        loop.state.sums.config.joint[0].motor_zero_rad += 0.25
+        changed = loop.state.sums.config.joint[0]
         right = float(loop.config.joint[0].motor_zero_rad)
     else:
         before = bytes(ffi.buffer(ffi.addressof(loop.state, "noise")))
@@ -379,7 +382,7 @@ def test_a_reference_that_was_changed_is_told(begun: tuple[Loop, Any, int]) -> N
     loop.config.joint[1].gear_ratio *= 2.0
     found = patrol(loop, array, k)
     assert lib.ZYGOS_E_CONFIG in found
-    assert loop.state.config.joint[1].gear_ratio != loop.config.joint[1].gear_ratio
+    assert loop.state.sums.config.joint[1].gear_ratio != loop.config.joint[1].gear_ratio
     assert lib.zygos_seal(loop.native, ffi.new("uint8_t[24]")) == lib.ZYGOS_E_CONFIG
 
 
@@ -411,7 +414,7 @@ def test_places_of_the_ring_and_stages_that_cannot_be_do_no_harm(begun: tuple[Lo
 
 @pytest.mark.parametrize(
     ("path", "in_place"),
-    [("copied", False), ("state.momentum_sums.arc.instants", True), ("state.motor_sums.instants", True)],
+    [("copied", False), ("state.sums.momentum.open.head.total", True), ("state.sums.motors.open.head.total", True)],
 )
 @pytest.mark.parametrize("bit", [7, 12, 30])
 def test_a_flipped_bit_does_not_end_the_estimates_in_silence(path: str, in_place: bool, bit: int) -> None:
@@ -446,7 +449,7 @@ def test_corrupt_sums_are_dropped_and_the_next_estimate_has_values() -> None:
     for k in range(len(cycles)):
         loop.cycle(array + k)
         if k == 800:
-            loop.state.accumulator.block[loop.state.accumulator.order[0]].gram[5] *= 1.5
+            loop.state.sums.energy.block[loop.state.sums.energy.order[0]].gram[5] *= 1.5
         if loop.solve() == 1:
             reasons.append((k, int(loop.estimate.reason), int(loop.estimate.validity)))
     corrupt = [k for k, reason, _ in reasons if reason == lib.ZYGOS_REASON_CORRUPT]

@@ -397,7 +397,7 @@ def test_only_a_valid_estimate_of_this_arm_is_adopted(motion: Trajectory) -> Non
     assert not flight.adopt()
     before = bytes(ffi.buffer(flight.native))
     assert not flight.adopt()
-    flight.native.dropped -= 1  # tasks were finished
+    flight.native.sums.dropped -= 1  # tasks were finished
     assert bytes(ffi.buffer(flight.native)) == before
     assert lib.zygos_arm_adopt(ffi.NULL, flight._estimate) == lib.ZYGOS_E_NULL
     assert lib.zygos_arm_adopt(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
@@ -430,7 +430,7 @@ def test_the_open_arc_is_compared_with_those_before_it_once_it_is_long_enough(mo
     flight.estimate()
     assert flight.adopt()
     for behind in (60, 390):
-        flight.cycles(part(cycles, int(flight.native.cycle) + 1, at + behind))
+        flight.cycles(part(cycles, int(flight.native.sums.cycle) + 1, at + behind))
         drift = flight.drift()
         assert drift.changed == () and np.isfinite(drift.deviation).all()
 
@@ -551,7 +551,7 @@ def test_a_state_goes_on_with_its_running_solution(motion: Trajectory) -> None:
     flight.cycles(part(faulty, 0, SOON - 100))
     flight.estimate()
     assert flight.adopt()
-    assert lib.zygos_arm_resume(flight.native, ffi.addressof(flight.native, "config")) == 1
+    assert lib.zygos_arm_resume(flight.native, ffi.addressof(flight.native, "sums", "config")) == 1
     flight.cycles(part(faulty, SOON - 100, SOON + 400))
     estimate = flight.estimate()
     assert estimate.left_out[0] == 1

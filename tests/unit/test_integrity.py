@@ -34,9 +34,9 @@ def flight(arm: Arm, motion: Cycles) -> Flight:
     """Many arcs of each kind of rows, of which blocks have merged, and some of the next ones."""
     out, rng = Flight(with_short_arcs(arm)), np.random.default_rng(0)
     fly(out, motion, 4, rng)
-    out.cycles(part(again(out.arm, motion, int(out.native.cycle) + 1, rng), 0, 570))  # where no arc is closing
+    out.cycles(part(again(out.arm, motion, int(out.native.sums.cycle) + 1, rng), 0, 570))  # where no arc is closing
     assert out.estimate().validity == "valid"
-    assert len(out.blocks().motors) < 35 < out.native.cycle / out.native.config.impulse_arc_cycles
+    assert len(out.blocks().motors) < 35 < out.native.sums.cycle / out.native.sums.config.impulse_arc_cycles
     return out
 
 
@@ -165,7 +165,7 @@ def test_a_flip_is_remembered_when_its_block_changes(
         flight, later = request.getfixturevalue("ground")
     else:
         flight = request.getfixturevalue("flight")
-        later = again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(2))
+        later = again(flight.arm, motion, int(flight.native.sums.cycle) + 1, np.random.default_rng(2))
     if not keep:
         later.flags[0] = VOID_BEFORE | 100 << VOID_SHIFT
     unused = ("config", "receiver", "smoother", "noise", "geometry", "guard", "joint")
@@ -192,7 +192,7 @@ def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(flight: Fligh
     """It is counted; what closed before it and what comes behind it are used."""
     damaged, ended, dropped = copy_of(flight), copy_of(flight), 0
     before, places = flight.estimate(), sums(flight.native, np.random.default_rng(0))
-    later = again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(1))
+    later = again(flight.arm, motion, int(flight.native.sums.cycle) + 1, np.random.default_rng(1))
     soon, late = (resting(flight, later, places, cycles) for cycles in (3, 18))
     assert lib.zygos_arm_end_arcs(ended.native) == 1
     for place, rests, rests_long in zip(places, soon, late, strict=True):

@@ -53,7 +53,7 @@ def shaken(arm: Arm, n: int, gap: int | None = None) -> Cycles:
 
 
 def sums_of(flight: Flight) -> Any:
-    return ffi.addressof(flight.native, "momentum_sums")
+    return ffi.addressof(flight.native, "sums", "momentum")
 
 
 def closed(arm: Arm, cycles: Cycles) -> tuple[list[Floats], Floats, Any]:
@@ -62,8 +62,8 @@ def closed(arm: Arm, cycles: Cycles) -> tuple[list[Floats], Floats, Any]:
     flight.cycles(cycles)
     sums = sums_of(flight)
     assert lib.zygos_arm_end_arcs(flight.native) == 1
-    lib.zygos_momentum_sums_apply_fade(sums)
-    blocks = [symmetric(sums.block[b].rows.gram, sums.columns) for b in range(sums.count)]
+    lib.zygos_store_apply_fade(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS)
+    blocks = [symmetric(sums.block[b].rows.gram, sums.columns) for b in range(sums.store.count)]
     noise = symmetric(sums.noise_closed.gram, sums.columns)
     return blocks, noise, (sums, flight)
 
@@ -104,8 +104,10 @@ def test_c_is_numpy(kinetic: str, flexible: tuple[bool, ...]) -> None:
     for own, other, part_of in zip(less, expected, owed, strict=True):
         assert_close(other - own, part_of, 1e-9)
     instants_of = [np.count_nonzero(instants.accepted[arc == k]) for k in range(arc.max() + 1)]
-    assert [sums.block[b].instants for b in range(sums.count)] == [n for n in instants_of if n >= MIN_ARC_INSTANTS]
-    assert lib.zygos_momentum_sums_check(sums) <= 1.0
+    assert [sums.block[b].head.total for b in range(sums.store.count)] == [
+        n for n in instants_of if n >= MIN_ARC_INSTANTS
+    ]
+    assert lib.zygos_store_check(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS) <= 1.0
 
 
 def test_turns_miss_nothing() -> None:
@@ -138,11 +140,11 @@ def test_blocks_merge_and_lose_nothing() -> None:
     total = sum(expected, start=np.zeros(()))
     assert_close(sum(blocks, start=noise), total, 1e-12)
     assert_close(noise, sum(owed, start=np.zeros(())), 1e-9)
-    assert sum(sums.block[b].instants for b in range(sums.count)) == len(cycles) - 6 - 3
-    ends = [sums.block[b].end for b in range(sums.count)]
+    assert sum(sums.block[b].head.total for b in range(sums.store.count)) == len(cycles) - 6 - 3
+    ends = [sums.block[b].head.end for b in range(sums.store.count)]
     assert ends == sorted(ends)
     assert ends[-1] == cycles.sync[-1]
-    assert lib.zygos_momentum_sums_check(sums) <= 1.0
+    assert lib.zygos_store_check(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS) <= 1.0
 
 
 def test_no_block_of_several_arcs_is_longer_than_the_target() -> None:
@@ -154,8 +156,8 @@ def test_no_block_of_several_arcs_is_longer_than_the_target() -> None:
         at += (60, 150, 90, 170)[number % 4]
         cycles.flags[at] = BREAK_BEFORE
     blocks, _, (sums, _) = closed(arm, cycles)
-    instants = [sums.block[b].instants for b in range(sums.count)]
-    assert len(blocks) < 16 and max(instants) <= sums.target < sum(instants) / 3.0
+    instants = [sums.block[b].head.total for b in range(sums.store.count)]
+    assert len(blocks) < 16 and max(instants) <= sums.store.target < sum(instants) / 3.0
 
 
 def test_doubtful_cycles_take_their_arcs_along() -> None:
@@ -166,35 +168,37 @@ def test_doubtful_cycles_take_their_arcs_along() -> None:
     flight = Flight(arm)
     flight.cycles(before)
     sums = sums_of(flight)
-    blocks = [(sums.block[b].end, symmetric(sums.block[b].rows.gram, sums.columns)) for b in range(sums.count)]
+    blocks = [
+        (sums.block[b].head.end, symmetric(sums.block[b].rows.gram, sums.columns)) for b in range(sums.store.count)
+    ]
     noise = symmetric(sums.noise_closed.gram, sums.columns)
-    instants = sum(sums.block[b].instants for b in range(sums.count))
+    instants = sum(sums.block[b].head.total for b in range(sums.store.count))
     flight.cycles(joined(after))
     kept = [block for end, block in blocks if end <= 200]
     assert 0 < len(kept) < len(blocks)
-    assert sums.count == len(kept)
+    assert sums.store.count == len(kept)
     for b, block in enumerate(kept):
         np.testing.assert_array_equal(symmetric(sums.block[b].rows.gram, sums.columns), block)
-    share = sum(sums.block[b].instants for b in range(sums.count)) / instants
-    assert_close(sums.noise_fade * symmetric(sums.noise_closed.gram, sums.columns), share * noise, 1e-14)
-    assert lib.zygos_momentum_sums_check(sums) <= 1.0
+    share = sum(sums.block[b].head.total for b in range(sums.store.count)) / instants
+    assert_close(sums.store.noise_fade * symmetric(sums.noise_closed.gram, sums.columns), share * noise, 1e-14)
+    assert lib.zygos_store_check(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS) <= 1.0
 
 
 def test_blocks_up_to_a_cycle_are_dropped_with_their_share_of_the_noise() -> None:
     arm = arm_of("planar", (True, True, False))
     blocks, noise, (sums, _) = closed(arm, wandering(arm, 330))
     assert len(blocks) >= 5
-    instants = [sums.block[b].instants for b in range(sums.count)]
-    ends = [int(sums.block[b].end) for b in range(sums.count)]
-    assert lib.zygos_momentum_sums_drop_until(sums, ends[1]) == 2
-    assert [int(sums.block[b].end) for b in range(sums.count)] == ends[2:]
+    instants = [sums.block[b].head.total for b in range(sums.store.count)]
+    ends = [int(sums.block[b].head.end) for b in range(sums.store.count)]
+    assert lib.zygos_store_drop_until(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS, ends[1]) == 2
+    assert [int(sums.block[b].head.end) for b in range(sums.store.count)] == ends[2:]
     for b, whole in enumerate(blocks[2:]):
         np.testing.assert_array_equal(symmetric(sums.block[b].rows.gram, sums.columns), whole)
-    lib.zygos_momentum_sums_apply_fade(sums)
+    lib.zygos_store_apply_fade(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS)
     left = symmetric(sums.noise_closed.gram, sums.columns)
     np.testing.assert_allclose(left, noise * sum(instants[2:]) / sum(instants), rtol=1e-12)
-    assert lib.zygos_momentum_sums_check(sums) <= 1.0
-    assert lib.zygos_momentum_sums_drop_until(sums, ends[1]) == 0
+    assert lib.zygos_store_check(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS) <= 1.0
+    assert lib.zygos_store_drop_until(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS, ends[1]) == 0
 
 
 def test_a_restart_forgets_all() -> None:
@@ -207,11 +211,11 @@ def test_a_restart_forgets_all() -> None:
     for flight in (fresh, again):
         flight.cycles(later)
     one, other = sums_of(fresh), sums_of(again)
-    assert one.count == other.count == 4
+    assert one.store.count == other.store.count == 4
     for b in range(4):
         assert ffi.buffer(one.block[b].rows.gram)[:] == ffi.buffer(other.block[b].rows.gram)[:]
     assert ffi.buffer(one.noise_closed.gram)[:] == ffi.buffer(other.noise_closed.gram)[:]
-    assert one.cycles == other.cycles
+    assert one.store.cycles == other.store.cycles
 
 
 @pytest.mark.parametrize("where", ["open", "block", "noise_open", "noise_closed"])
@@ -221,14 +225,14 @@ def test_corrupt_sums_are_refused(where: str) -> None:
     flight.cycles(wandering(arm, 290))
     sums = sums_of(flight)
     rows = {
-        "open": sums.arc.rows,
+        "open": sums.open.rows,
         "block": sums.block[1].rows,
-        "noise_open": sums.noise_arc[sums.parity],
+        "noise_open": sums.noise_arc[sums.store.parity],
         "noise_closed": sums.noise_closed,
     }[where]
-    assert lib.zygos_momentum_sums_check(sums) <= 1.0
+    assert lib.zygos_store_check(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS) <= 1.0
     rows.gram[7] += 1e-3 * max(abs(entry) for entry in rows.gram)
-    assert lib.zygos_momentum_sums_check(sums) > 1.0
+    assert lib.zygos_store_check(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS) > 1.0
     assert flight.estimate().reason == "the accumulated sums are corrupt: memory was changed from outside"
 
 
@@ -238,11 +242,11 @@ def test_a_corrupt_arc_is_dropped_when_it_closes() -> None:
     flight = Flight(arm)
     flight.cycles(part(cycles, 0, 40))
     sums = sums_of(flight)
-    sums.noise_arc[sums.parity].gram[4] *= 1.5
+    sums.noise_arc[sums.store.parity].gram[4] *= 1.5
     flight.cycles(part(cycles, 40, 340))
-    assert sums.count > 3
-    assert sums.quarantined == 1
-    assert lib.zygos_momentum_sums_check(sums) <= 1.0
+    assert sums.store.count > 3
+    assert sums.store.quarantined == 1
+    assert lib.zygos_store_check(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS) <= 1.0
 
 
 def test_sums_fade_with_the_arcs() -> None:
@@ -253,15 +257,15 @@ def test_sums_fade_with_the_arcs() -> None:
     memory = replace(arm, memory_s=4.0)
     faded, noise, (sums, _flight) = closed(memory, cycles)
     keep = np.exp(-arm.period_s / 4.0)
-    last = sums.block[sums.count - 1].end
-    ages = [int(last) - int(sums.block[b].end) for b in range(sums.count)]
+    last = sums.block[sums.store.count - 1].head.end
+    ages = [int(last) - int(sums.block[b].head.end) for b in range(sums.store.count)]
     assert ages[0] > 150
     for old, new, age in zip(whole, faded, ages, strict=True):
         assert_close(new, keep**age * old, 1e-12)
-    assert [sums.block[b].instants for b in range(sums.count)] == pytest.approx(
-        [keep**age * kept.block[b].instants for b, age in enumerate(ages)]
+    assert [sums.block[b].head.total for b in range(sums.store.count)] == pytest.approx(
+        [keep**age * kept.block[b].head.total for b, age in enumerate(ages)]
     )
-    assert lib.zygos_momentum_sums_check(sums) <= 1.0
+    assert lib.zygos_store_check(ffi.addressof(sums, "store"), lib.ZYGOS_MOMENTUM_ROWS) <= 1.0
     assert np.trace(noise) < np.trace(symmetric(kept.noise_closed.gram, kept.columns))
 
 
@@ -390,17 +394,17 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     flight = Flight(replace(arm, momentum_max_s=5.0))
     flight.cycles(noisy(clean, 0))
     found, work = flight.estimate(), flight._work
-    p, sums = len(found.names), work.momentum_sums
+    p, sums = len(found.names), work.sums.momentum
     places = [k for k, name in enumerate(found.names) if name.startswith(("N", "Im"))]
-    blocks = [work.accumulator.block[place] for place in work.accumulator.order[0 : work.accumulator.open]]
+    blocks = [work.sums.energy.block[place] for place in work.sums.energy.order[0 : work.sums.energy.closed]]
     parts = [symmetric(block.gram, p + 2)[: p + 1, : p + 1] for block in blocks]
     factors = [sum(block.instants for block in blocks) / sum(block.square for block in blocks)] * len(parts)
-    for b in range(sums.count):
+    for b in range(sums.store.count):
         own = np.zeros((p + 1, p + 1))
         own[np.ix_(places, places)] = work.solver.momentum_weight * symmetric(sums.block[b].rows.gram, sums.columns)
         parts.append(own)
         factors.append(1.0)
-    assert sums.count == 8
+    assert sums.store.count == 8
     whole = sum(parts, start=np.zeros(()))
     scale = 1.0 / np.sqrt(np.diag(whole))[:p]
 
@@ -425,7 +429,7 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     sums_of_rows, places_of = np.zeros(p), 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
     for block in blocks:
         step = np.array(
-            list(lib.zygos_accumulator_deviation(ffi.addressof(work, "accumulator"), ffi.addressof(block))[0:p])
+            list(lib.zygos_accumulator_deviation(ffi.addressof(work, "sums", "energy"), ffi.addressof(block))[0:p])
         )
         moved = np.array([solved(whole, sums_of_rows + share_of * step) for share_of in places_of])
         covariance += block.variance[0] * moved.T @ moved / len(places_of)

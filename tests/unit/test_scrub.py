@@ -98,7 +98,7 @@ def flown(*, frames: bool = False) -> tuple[Flight, Cycles]:
     assert lib.zygos_arm_scrub(flight.native, config_of_its_own(flight)) == 0
     assert flight.estimate().validity == "valid"
     assert flight.adopt()
-    rest = again(flight.arm, recording(), int(flight.native.cycle) + 1 + frames, rng)  # of frames one is open
+    rest = again(flight.arm, recording(), int(flight.native.sums.cycle) + 1 + frames, rng)  # of frames one is open
     rest.flags[0] = 0
     return flight, rest
 
@@ -131,13 +131,13 @@ def start(name: str) -> Start:
         return Start(flight, cycles_to_native(part(rest, 150, 150 + FURTHER)))
     at = 0
     while flight.native.waited[0] == 0:  # arcs are ended by gaps until one has to wait
-        gap = part(again(flight.arm, recording(), int(flight.native.cycle) + 2, np.random.default_rng(at)), 0, 60)
+        gap = part(again(flight.arm, recording(), int(flight.native.sums.cycle) + 2, np.random.default_rng(at)), 0, 60)
         for k in range(len(gap)):
             flight.cycles(part(gap, k, k + 1))
             if flight.native.waited[0]:
                 break
         at += 1
-    rest = replace(rest, sync=rest.sync - rest.sync[0] + np.uint64(int(flight.native.cycle) + 1))
+    rest = replace(rest, sync=rest.sync - rest.sync[0] + np.uint64(int(flight.native.sums.cycle) + 1))
     return Start(flight, cycles_to_native(part(rest, 0, FURTHER)))
 
 
@@ -311,7 +311,7 @@ def test_no_flipped_bit_of_what_joint_rows_leave_to_the_next_cycle_reaches_the_s
             if begin.feed(flight, k, k + 1) < 0:
                 found += lib.zygos_arm_scrub(flight.native, own) > 0
         counted = lib.zygos_arm_count_quarantined(flight.native)
-        return bytes(ffi.buffer(ffi.addressof(flight.native, "joint_sums"))), found + counted
+        return bytes(ffi.buffer(ffi.addressof(flight.native, "sums", "joints"))), found + counted
 
     expected, none = flown_on(None)
     assert none == 0
@@ -369,7 +369,7 @@ def test_memory_that_nothing_has_changed_is_left_as_it_is() -> None:
         settled = copy_of(flight)
         assert lib.zygos_arm_scrub(flight.native, begin.own) == 0
         assert ffi.buffer(flight.native) == ffi.buffer(settled.native)
-        assert flight.native.scrubbed == flight.native.cycle
+        assert flight.native.scrubbed == flight.native.sums.cycle
         assert flight.counts == begin.flight.counts
 
 
@@ -377,16 +377,16 @@ def test_of_three_configurations_two_must_agree() -> None:
     """The caller's, the one in the state, and the checksum there: where all differ, none is taken."""
     begin = start("open arcs")
     flight, own = copy_of(begin.flight), begin.own
-    flight.native.config.period_s *= 2.0
+    flight.native.sums.config.period_s *= 2.0
     assert scrubbed(flight, own, "that of the state") == CONFIG
-    assert flight.native.config.period_s == own.period_s
+    assert flight.native.sums.config.period_s == own.period_s
     for of_state, of_caller in ((1.0, 2.0), (3.0, 2.0)):
         flight, other = copy_of(begin.flight), begin.own
-        flight.native.config.period_s *= of_state
+        flight.native.sums.config.period_s *= of_state
         other.period_s *= of_caller
         before = bytes_of(flight.native)
         assert lib.zygos_arm_scrub(flight.native, other) == lib.ZYGOS_E_CONFIG
-        assert lib.zygos_arm_scrub(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_CONFIG
+        assert lib.zygos_arm_scrub(flight.native, ffi.addressof(flight.native, "sums", "config")) == lib.ZYGOS_E_CONFIG
         assert bytes_of(flight.native) == before
 
 
@@ -424,10 +424,10 @@ def test_a_state_that_lost_its_way_does_nothing_before_it_is_scrubbed() -> None:
 def test_a_restart_makes_an_impossible_queue_possible(keep: int) -> None:
     """Whatever its indices are, and those of the motor sums that would be kept: the next cycles are processed."""
     begin = start("reception")
-    for name, members in (("queue", ("tail", "head")), ("motor_sums", ("count", "place"))):
+    for name, members in (("queue", ("tail", "head")), ("motors", ("count", "place"))):
         for member in members:
             flight = copy_of(begin.flight)
-            place = flight.native.receiver.queue if name == "queue" else flight.native.motor_sums
+            place = flight.native.receiver.queue if name == "queue" else flight.native.sums.motors.store
             setattr(place, member, 2**31 + 5)
             assert lib.zygos_arm_restart(flight.native, keep) == 1
             assert begin.feed(flight, 4, 8) >= 0 and flight.native.cycles > begin.flight.native.cycles, member

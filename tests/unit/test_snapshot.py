@@ -256,7 +256,7 @@ def test_a_resumed_state_is_that_of_a_gap(arm: Arm, noisy: Trajectory, tmp_path:
     assert parts.faults == whole.faults
     assert parts.faults["dropped"] == parts.faults["sync_jumped"] == 1
     assert parts.counts == whole.counts
-    assert parts.native.cycle == whole.native.cycle == len(cycles) - 1
+    assert parts.native.sums.cycle == whole.native.sums.cycle == len(cycles) - 1
     for ours, theirs in zip(parts.normal_equations(), whole.normal_equations(), strict=True):
         np.testing.assert_array_equal(ours, theirs)
     one, other = parts.estimate(), whole.estimate()
@@ -275,7 +275,7 @@ def test_time_tells_how_long_the_outage_was(lost: int, arm: Arm, noisy: Trajecto
     accepted = flight.counts["accepted"]
     again = resumed(arm, flight, tmp_path)
     again.frames(frames[starts[420 + lost] :])
-    assert again.native.cycle == len(cycles) - 1
+    assert again.native.sums.cycle == len(cycles) - 1
     assert again.faults["time_jumped"] == 0
     assert again.faults["sync_jumped"] == int(lost % 240 not in (0, 1))
     assert again.faults["sync_repeated"] == int(lost % 240 == 0)
@@ -294,7 +294,7 @@ def test_a_clock_that_started_anew_only_breaks_the_count(arm: Arm, noisy: Trajec
     assert again.faults["time_jumped"] == 1
     assert again.counts["accepted"] > accepted + 0.9 * len(cycles)
     assert again.counts["arcs_dropped"] == flight.counts["arcs_dropped"]
-    assert again.native.cycle > 420 + len(cycles) - 10
+    assert again.native.sums.cycle > 420 + len(cycles) - 10
 
 
 def test_the_open_cycle_is_not_completed_by_another(arm: Arm, frames: NDArray[Any], tmp_path: Path) -> None:

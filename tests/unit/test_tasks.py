@@ -268,7 +268,7 @@ def until_an_arc_waits(flight: Flight, motion: Cycles) -> int:
         flight.cycles(part(cycles, end, end + 1))
         end += 1
     flight.cycles(part(again(flight.arm, motion, end + 3, np.random.default_rng(1)), 0, 1))
-    assert flight.native.ending & 1
+    assert flight.native.sums.ending & 1
     return end
 
 

@@ -117,7 +117,7 @@ def test_an_arc_that_is_dropped_leaves_no_variance_to_the_next() -> None:
     accumulate(sums, rng, 300, 1.0)
     lib.zygos_accumulator_end_arc(sums, 505)
     assert sums.arcs == 2
-    assert sum(sums.block[place].variance[0] for place in sums.order[0 : sums.open]) == pytest.approx(500.0)
+    assert sum(sums.block[place].variance[0] for place in sums.order[0 : sums.closed]) == pytest.approx(500.0)
 
 
 def test_the_variance_of_what_is_forgotten_fades_with_it(arm: Arm, motion: Cycles) -> None:
@@ -127,13 +127,13 @@ def test_the_variance_of_what_is_forgotten_fades_with_it(arm: Arm, motion: Cycle
 
     def rates() -> list[float]:
         settle(flight)
-        sums = flight.native.accumulator
-        closed = [sums.block[place] for place in sums.order[0 : sums.open]]
+        sums = flight.native.sums.energy
+        closed = [sums.block[place] for place in sums.order[0 : sums.closed]]
         return [block.variance[0] / block.instants for block in closed]
 
     fly(flight, motion, 1, rng)
     first = rates()
     fly(flight, motion, 80, rng)
     last = rates()
-    assert len(last) < flight.native.accumulator.arcs  # blocks of several arcs have merged
+    assert len(last) < flight.native.sums.energy.arcs  # blocks of several arcs have merged
     assert max(last) < 2.0 * max(first)

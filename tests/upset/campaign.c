@@ -184,7 +184,7 @@ static void see_faults(faults_t *out)
     out->overrun = arm->overrun;
     out->repairs = arm->repairs;
     out->losses = arm->losses;
-    out->discarded = arm->state.guard.lost;
+    out->discarded = arm->state.sums.guard.lost;
     out->lost = arm->refined.lost;
     out->restarts = arm->refined.restarts;
     out->rejected = arm->refined.rejected;

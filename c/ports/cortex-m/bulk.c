@@ -64,7 +64,7 @@ static void put(uint32_t kind, const void *from, uint32_t size)
 
 static void put_instant(void)
 {
-    instant.cycle = arm.cycle;
+    instant.cycle = arm.sums.cycle;
     instant.instant = arm.instant;
     instant.accepted = (arm.accepted > 0.0) ? 1u : 0u;
     memcpy(&instant.state, &arm.arm_state, sizeof arm.arm_state);

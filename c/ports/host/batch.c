@@ -25,8 +25,8 @@ static void record(const zygos_arm_t *self, const zygos_cycle_t *cycle, const ui
     if ((trace == NULL) || (trace->count >= trace->capacity)) {
         return;
     }
-    const uint64_t n = self->config.joints;
-    const uint64_t p = self->column_map.parameters;
+    const uint64_t n = self->sums.config.joints;
+    const uint64_t p = self->sums.column_map.parameters;
     const uint64_t at = trace->count++;
     if (trace->sync) {
         trace->sync[at] = cycle->sync;

@@ -92,7 +92,7 @@ static int heal(int returned)
     }
     const int begun = begin();
     node_log("%s cycle %llu", (arm.state.cycles > 0u) ? "goes on behind" : "starts at",
-             (unsigned long long)arm.state.cycle);
+             (unsigned long long)arm.state.sums.cycle);
     return begun;
 }
 
@@ -186,8 +186,8 @@ int main(int argc, char **argv)
     }
     const sigset_t mask = node_signals_catch();
     node_log("listening on %s, %u joints, %u parameters, %s cycle %llu", options.interface ? options.interface : "--fd",
-             config.joints, arm.state.column_map.parameters, (arm.state.cycles > 0u) ? "goes on behind" : "starts at",
-             (unsigned long long)arm.state.cycle);
+             config.joints, arm.state.sums.column_map.parameters,
+             (arm.state.cycles > 0u) ? "goes on behind" : "starts at", (unsigned long long)arm.state.sums.cycle);
     const int reading = run(&mask);
     store.failure = 0; /* a failure of the last save is logged in any case */
     const int saved = save();

@@ -31,9 +31,9 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
     omitted = [effect.column(arm) for effect in effects if effect not in flight.effects]
     made_of = " and ".join(printable(path.name) for path in (arm_file, model_file) if path)
     write_text(source, header(flight, made_of))
-    snapshot.write(blob, "configuration", ffi.addressof(flight.native, "config"))
-    needs = capacities(flight.native.config)
-    build, smaller = least_build(flight.native.config), in_place_build(flight.native.config)
+    snapshot.write(blob, "configuration", ffi.addressof(flight.native, "sums", "config"))
+    needs = capacities(flight.native.sums.config)
+    build, smaller = least_build(flight.native.sums.config), in_place_build(flight.native.sums.config)
     bytes_of, in_place = memory(build), memory(smaller, in_place=True)
     summary = {
         "arm": arm.name,

@@ -129,7 +129,7 @@ class Watch:
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
         if not estimate.consecutive:
             ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_arm_t"))
-            self._open.native.guard.known = 0
+            self._open.native.sums.guard.known = 0
             self.plainest = self._settled  # the deviation in arcs that were left out was not a change
         # segments of joint rows that contradict are kept, and need no second flight that admits them
         drift = (self.flight if self.flight.joints_alone else self._open).drift()
@@ -156,5 +156,5 @@ class Watch:
         fresh = count - self._left_out
         self._left_out = count
         self.left_out += newest[max(0, len(newest) - fresh) :]
-        if self.flight.native.guard.changed:
+        if self.flight.native.sums.guard.changed:
             self._settled = self.plainest

@@ -54,7 +54,7 @@ def about_left_out(result: Estimate, watch: Watch) -> str:
     period, found = watch.flight.arm.period_s, []
     for rows, count in zip(ROWS, result.left_out, strict=True):
         spans = [f"{arc.first * period:.0f}..{arc.last * period:.0f} s" for arc in watch.left_out if arc.rows == rows]
-        opened = ["the newest, still open"] if count > watch.flight.native.guard.left_out[ROWS.index(rows)] else []
+        opened = ["the newest, still open"] if count > watch.flight.native.sums.guard.left_out[ROWS.index(rows)] else []
         shown = [*spans[:LEFT_OUT_SHOWN], *(["…"] if len(spans) > LEFT_OUT_SHOWN else []), *opened]
         said = f"{counted(count, 'arc')} of the {rows} rows"
         if watch.flight.joints_alone:

@@ -439,7 +439,7 @@ class Flight:
         self.effects = with_gains(arm, effects)
         own = arm.parameters
         self.names = (*(one.name for one in own), *(effect.column(arm) for effect in self.effects))
-        if self.native.column_map.parameters != len(self.names):
+        if self.native.sums.column_map.parameters != len(self.names):
             raise ZygosError(
                 f"arm {arm.name!r}: gravity is within 1e-9 rad of a joint axis, which may or may not feel it; "
                 "remedy: make them parallel, or tilt them"
@@ -506,7 +506,7 @@ class Flight:
     @property
     def joints_alone(self) -> bool:
         """Whether joint rows alone determine the estimate; their segments then have the place of energy arcs."""
-        return bool(lib.zygos_joint_sums_suffice(ffi.addressof(self.native, "config")))
+        return bool(lib.zygos_joint_sums_suffice(ffi.addressof(self.native, "sums", "config")))
 
     def adopt(self) -> bool:
         """Take what `estimate` answered last as the running solution, if it is valid.
@@ -565,7 +565,7 @@ class Flight:
         """The blocks behind the sigmas, the open arcs ended; not weighed."""
         lib.zygos_arm_take(self.native, self._work)
         lib.zygos_work_solve(self._work, self._estimate)  # ends the open arcs of the copy
-        sums, joints, momenta = self._work.accumulator, self._work.motor_sums, self._work.momentum_sums
+        sums, joints, momenta = self._work.sums.energy, self._work.sums.motors, self._work.sums.momentum
         pointer, width = ffi.addressof(sums), len(self.names) + 1
         return Blocks(
             energy=[
@@ -576,35 +576,33 @@ class Flight:
                     block.square,
                     block.variance[0],
                 )
-                for block in (sums.block[place] for place in sums.order[0 : sums.open])
+                for block in (sums.block[place] for place in sums.order[0 : sums.closed])
             ],
             motors=[
                 [
                     (_symmetric(block.joint[i].gram, joints.column_map.count[i] + 1), block.instants[i])
                     for i in range(self.arm.n)
                 ]
-                for block in joints.block[0 : joints.count]
+                for block in joints.block[0 : joints.store.count]
             ],
-            momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.count]],
+            momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.store.count]],
             joints=[
                 (group.fade * _symmetric(group.rows.gram, width), group.fade * group.count)
-                for group in list(self._work.joint_sums.group)[:-1]  # the last one is not of the estimate
-                if self._work.joint_sums.width > 0
+                for group in list(self._work.sums.joints.group)[:-1]  # the last one is not of the estimate
+                if self._work.sums.joints.width > 0
             ],
         )
 
     def _closed(self) -> Any:
         """A copy of the sums whose arcs have ended, also one that waits for that."""
         lib.zygos_arm_take(self.native, self._work)
-        lib.zygos_work_settle(self._work)
-        sums, guard, config = (ffi.addressof(self._work, name) for name in ("accumulator", "guard", "config"))
-        lib.zygos_guard_end_energy(guard, config, sums, self._work.cycle, self._work.arc)
-        return sums
+        lib.zygos_sums_end_copy(ffi.addressof(self._work, "sums"))
+        return ffi.addressof(self._work.sums, "energy")
 
     @property
     def left_out(self) -> tuple[int, tuple[LeftOut, ...]]:
         """How many arcs that have ended were left out, and the newest of them, oldest first."""
-        guard = self.native.guard
+        guard = self.native.sums.guard
         count, places = sum(guard.left_out), len(guard.newest)
         arcs = [guard.newest[k % places] for k in range(max(0, count - places), count)]
         return count, tuple(LeftOut(ROWS[a.rows], int(a.end) - a.cycles + 1, int(a.end)) for a in arcs)
@@ -618,7 +616,7 @@ class Flight:
     @property
     def counts(self) -> dict[str, int]:
         """Cycles worked off, gaps between them, arcs and instants."""
-        sums = self.native.accumulator
+        sums = self.native.sums.energy
         return {
             "cycles": int(self.native.cycles),
             "gaps": int(self.native.gaps),

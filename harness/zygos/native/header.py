@@ -95,7 +95,7 @@ def _fields(struct: Any, indent: str) -> Iterator[str]:
 
 def header(flight: Flight, source: str) -> str:
     """The text of arm_config.h for an arm that the library has accepted. source: what it was made of."""
-    config = flight.native.config
+    config = flight.native.sums.config
     parameters = [
         f"    ARM_{ascii_name(name)} = {k}, // {unit}"
         for k, (name, unit) in enumerate(zip(flight.names, flight.units, strict=True))

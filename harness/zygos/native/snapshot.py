@@ -75,7 +75,7 @@ def resume(flight: Flight, path: str | Path) -> None:
     Errors: as `read`, and for another configuration, or counts and sums that memory errors had changed.
     """
     state = read(path, "state")
-    config = ffi.addressof(flight.native, "config")
+    config = ffi.addressof(flight.native, "sums", "config")
     verdict = lib.zygos_arm_check(state, config, ffi.new("zygos_work_t *"))
     if verdict == 1:
         verdict = lib.zygos_arm_resume(state, config)

@@ -277,7 +277,7 @@ def _full_sizes(arm: Arm, x: Floats) -> Floats:
 
 def left_out(flight: Flight, ended: Sequence[LeftOut]) -> dict[str, frozenset[int]]:
     """Last cycles of the arcs that a flight left out, by kind of rows: of finished arcs and of open ones."""
-    estimate, guard = flight.estimate(), flight.native.guard
+    estimate, guard = flight.estimate(), flight.native.sums.guard
     out = {}
     for k, kind in enumerate(ROWS):
         still = {estimate.cycle} if estimate.left_out[k] > guard.left_out[k] else set()
@@ -427,7 +427,7 @@ def _of_groups(arm: Arm, flight: Flight, joints: Groups, prior: Prior | None) ->
     blocks = [(sums, count) for sums, count in flight.blocks().joints if count > 0.0]
     apart = joints.apart()
     counts = np.array([count for _, count in blocks])
-    half_s = 0.5 * arm.period_s * float(flight.native.config.joint_row_cycles)
+    half_s = 0.5 * arm.period_s * float(flight.native.sums.config.joint_row_cycles)
     elapsed_s = float(counts.sum()) / arm.n * half_s
     return joint_intervals(
         [sums for sums, _ in blocks], counts, joints.rows.noise, apart, apart[1] / arm.n, elapsed_s, prior

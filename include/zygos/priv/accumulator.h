@@ -108,8 +108,8 @@ typedef struct {
 typedef struct {
     uint32_t width;        ///< p + 2.
     uint32_t count;        ///< Number of blocks in use: of closed arcs, of the closing one, and of the open one.
-    uint32_t open;         ///< Number of blocks of closed arcs, which are the first.
-    uint32_t fresh;        ///< The first block of the open arc; open, if no arc is closing.
+    uint32_t closed;       ///< Number of blocks of closed arcs, which are the first.
+    uint32_t fresh;        ///< The first block of the open arc; closed, if no arc is closing.
     uint32_t newest;       ///< First block of the newest arcs that have enough instants to be compared.
     uint32_t window;       ///< First block of the arcs after these, which do not have enough yet.
     uint32_t ready;        ///< Number of free blocks that are cleared; they have the last places in order.
@@ -131,18 +131,18 @@ typedef struct {
     uint32_t admitted;     ///< 1: the closing arc is admitted.
     uint32_t closing_instants; ///< Accepted instants of the closing arc.
     uint32_t closing_cycles;   ///< Its cycles.
-    uint32_t means;       ///< Checksum of mean, closing_end and closing_instants, while the constant is eliminated.
-    uint64_t closing_end; ///< The number of its newest cycle.
-    double enough;        ///< Instants with which arcs are compared.
-    double target;        ///< Length of the next segment in instants.
-    double length;        ///< Length of the open segment.
-    double segment;       ///< Accepted instants of the open segment.
-    uint64_t accepted;    ///< Instants in closed arcs, in the closing one and in the open one.
-    uint64_t refused;     ///< Instants that failed the bandwidth test.
-    uint64_t checksum;    ///< Of width, count, open, fresh, newest, window, ready, arcs, enough, target, noise_fade and
-                          ///< order.
-    double noise_fade;    ///< Factor of noise_closed.
-    double overlap;       ///< What the block of the task shares with the block before it.
+    uint32_t means_checksum; ///< Checksum of mean, closing_end and closing_instants, while the constant is eliminated.
+    uint64_t closing_end;    ///< The number of its newest cycle.
+    double enough;           ///< Instants with which arcs are compared.
+    double target;           ///< Length of the next segment in instants.
+    double length;           ///< Length of the open segment.
+    double segment;          ///< Accepted instants of the open segment.
+    uint64_t accepted;       ///< Instants in closed arcs, in the closing one and in the open one.
+    uint64_t refused;        ///< Instants that failed the bandwidth test.
+    uint64_t checksum; ///< Of width, count, closed, fresh, newest, window, ready, arcs, enough, target, noise_fade and
+                       ///< order.
+    double noise_fade; ///< Factor of noise_closed.
+    double overlap;    ///< What the block of the task shares with the block before it.
     double mean[ZYGOS_MAX_ROW]; ///< Of the closing arc.
     zygos_gram_scan_t scan;     ///< Row sums of the block that is verified.
     zygos_row_buffer_t buffer[ZYGOS_ROW_BUFFERS];
@@ -157,7 +157,7 @@ typedef struct {
 /// Returns the members with which a cycle addresses blocks, in one number, and those that tell which arc is closing.
 static inline uint32_t zygos_accumulator_twin(const zygos_accumulator_t *self)
 {
-    uint32_t fold = zygos_folded_count(self->count, self->open);
+    uint32_t fold = zygos_folded_count(self->count, self->closed);
     fold = zygos_folded_count(zygos_folded_count(fold, self->fresh), self->ready);
     fold = zygos_folded_count(zygos_folded_count(fold, self->task), self->places);
     fold = zygos_folded_count(zygos_folded_count(fold, self->rank), self->parity);

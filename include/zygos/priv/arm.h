@@ -24,6 +24,7 @@
 #include "reduction.h"
 #include "smoother.h"
 #include "solver.h"
+#include "sums.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -37,11 +38,9 @@ typedef struct {
                      ///< number where a cycle found memory changed: none is processed before zygos_arm_scrub().
     uint64_t config_checksum; ///< Of config.
     uint64_t tables_checksum; ///< Of everything that follows from the configuration.
-    uint64_t copied_checksum; ///< Of config and those tables that are copied for a solution.
     uint64_t moving;          ///< Exclusive or of what changes from cycle to cycle: integrals, and places in windows.
     uint64_t scrubbed;        ///< Number of the newest cycle when zygos_arm_scrub() was called last, or of the start.
     uint64_t quarantined;     ///< Number of arcs and blocks that were dropped because memory was changed.
-    uint64_t cycle;           ///< SYNC number of the newest cycle that was processed.
     uint64_t cycles;          ///< Number of cycles that were processed.
     uint64_t added;           ///< Number of the newest cycle that gave a row which was not refused.
     uint64_t restored; ///< Number of the newest cycle of a stored state (zygos_resume()); 0: none is in the sums.
@@ -52,47 +51,31 @@ typedef struct {
     uint64_t apart;    ///< Number of cycles with link and motor angle on different sides of that end, not used.
     uint64_t waited[ZYGOS_KINDS_OF_ROWS]; ///< Number of instants that have no row of a kind, because an arc of these
                                           ///< rows waited for its end (ending).
-    uint32_t arc;                         ///< Number of instants of the open arc, accepted or not.
     uint32_t instant;                     ///< 1: arm_state, row and accepted below belong to the newest cycle.
-    uint32_t ending;  ///< Kinds of rows (enum zygos_rows), as bits, whose open arc has ended, and waits until
-                      ///< the arc before it is closed. There are no rows of these kinds until then.
-    uint32_t held;    ///< Kinds of rows, as bits, whose tasks wait, because their sums are being copied (handover.h).
-    uint32_t beside;  ///< 1: something else is done beside the next cycle, so that no task proceeds in it.
-    uint32_t dropped; ///< Number of times, modulo 2^32, that sums were dropped or changed at once.
-    uint64_t ended[ZYGOS_KINDS_OF_ROWS];          ///< The newest cycle of these arcs.
-    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors; 1 where none waits.
-    double forgetting;                            ///< Product of the forgetting factors of the cycles in the open arc.
-    double motors_forgetting;                     ///< The same for the motor rows.
-    double momentum_forgetting;                   ///< The same for the momentum rows.
-    double joints_forgetting; ///< The same for the joint rows, of the cycles since the last complete segment.
-    double accepted;          ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
-    zygos_config_t config;
-    zygos_column_map_t column_map;
+    uint32_t held;   ///< Kinds of rows, as bits, whose tasks wait, because their sums are being copied (handover.h).
+    uint32_t beside; ///< 1: something else is done beside the next cycle, so that no task proceeds in it.
+    double accepted; ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
+    zygos_previous_cycle_t previous;
+    zygos_balance_t balance;
+    zygos_impulse_t impulse;
+    zygos_momentum_t momentum;
+    zygos_sums_t sums;
+    zygos_joint_t joint;
+    zygos_smoother_t smoother;
     zygos_geometry_t geometry;
     zygos_receiver_t receiver;
-    zygos_previous_cycle_t previous;
-    zygos_smoother_t smoother;
     zygos_noise_t noise;
     zygos_arm_state_t arm_state;
     zygos_motion_t motion;
-    zygos_balance_t balance;
     zygos_row_t row;
-    zygos_impulse_t impulse;
     zygos_impulse_rows_t impulse_rows;
-    zygos_motor_sums_t motor_sums;
-    zygos_momentum_t momentum;
-    zygos_momentum_sums_t momentum_sums;
-    zygos_joint_t joint;
     zygos_joint_row_t joint_row;
-    zygos_joint_sums_t joint_sums;
-    zygos_accumulator_t accumulator;
-    zygos_guard_t guard;
 } zygos_arm_t;
 
 /// Digest of the offsets and types in the structs that library and caller exchange, at the default capacities on a
 /// processor of 64 bits. It changes when a field is moved or given another type, and not when it is renamed. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xD42D97FCu
+#define ZYGOS_LAYOUT 0x3E3AE3AEu
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 

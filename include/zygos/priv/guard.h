@@ -122,60 +122,12 @@ void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle);
 /// does not match when the next arc ends, and it is discarded. Cost: a few comparisons.
 bool zygos_guard_intact(const zygos_guard_t *self);
 
-/// Drops the sums up to a cycle in which an arc ended, and counts their arcs as excluded. Cost: one move of the sums.
-void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_motor_sums_t *motors,
-                      zygos_momentum_sums_t *momentum, uint64_t cycle);
-
-/// Makes a valid estimate the running solution: its solution, its covariance, widened as the 95 % intervals are, and
-/// the mean squares of the run for it. Sums that the estimate excluded (its member since) are dropped. Needs finished
-/// tasks. Returns false, with the running solution unchanged, where the estimate is not valid, or not newer than since.
-/// After the running solution was given up, an estimate that is doubtful only because of ZYGOS_REASON_CHANGED is
-/// adopted as well. Cost: one pass over the sums of the motor and momentum rows, and two over the covariance; where
-/// sums are dropped, the others are moved once.
-bool zygos_guard_adopt(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       zygos_accumulator_t *energy, zygos_motor_sums_t *motors, zygos_momentum_sums_t *momentum,
-                       const zygos_joint_sums_t *joints, const zygos_estimate_t *estimate);
-
 /// Takes over the running solution that zygos_guard_adopt() has written into another one. Cost: one copy of it.
 void zygos_guard_take_over(zygos_guard_t *self, const zygos_guard_t *from);
 
 /// Returns the 6-sigma quantile of chi-square over its degrees of freedom, by the approximation of Wilson and Hilferty,
 /// times ZYGOS_GUARD_MARGIN: the limit of a mean square of so many independent rows in units of its expectation.
 double zygos_guard_chi_square_limit(double freedom);
-
-/// Proceeds with the task of the accumulator: with the comparison of the closing arc, if it is its turn
-/// (ZYGOS_TASK_JUDGE). An arc that contradicts the running solution is left out. Cost: a part of a pass over a block;
-/// for the first block, also one over the running solution.
-void zygos_guard_proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums);
-
-/// Finishes the tasks of the accumulator. Cost: a few passes over the blocks of the closing arc.
-void zygos_guard_settle_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums);
-
-/// The same of the motor and of the momentum rows. Where one proceeds, it returns whether there was a task.
-bool zygos_guard_proceed_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                                zygos_motor_sums_t *sums);
-void zygos_guard_settle_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                               zygos_motor_sums_t *sums);
-bool zygos_guard_proceed_momentum(zygos_guard_t *self, const zygos_config_t *config,
-                                  const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums);
-void zygos_guard_settle_momentum(zygos_guard_t *self, const zygos_config_t *config,
-                                 const zygos_column_map_t *column_map, zygos_momentum_sums_t *sums);
-
-/// These end the open arc of the energy, motor or momentum rows: the arc is added to the sums unless it contradicts the
-/// running solution. cycle: the newest cycle of the arc. cycles: their number. Cost: a few passes over the sums of the
-/// arc.
-void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
-                            uint64_t cycle, uint32_t cycles);
-void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                            zygos_motor_sums_t *sums, uint64_t cycle);
-void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                              zygos_momentum_sums_t *sums, uint64_t cycle);
-
-/// The same of the segment of joint rows that is filled, if it has rows. Segments that contradict are set aside
-/// (zygos_joint_sums_set_aside()). *forgetting is set to 1. Cost: where joint rows alone determine the estimate, two
-/// passes over the sums of the segment and one over the running solution; otherwise those of the checksum of the sums.
-void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, zygos_joint_sums_t *sums, uint64_t cycle,
-                            double *forgetting);
 
 #ifdef __cplusplus
 }

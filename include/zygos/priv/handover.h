@@ -12,8 +12,7 @@
 #define ZYGOS_HANDOVER_H
 
 #include "../types.h"
-#include "arm.h"
-#include "solver.h"
+#include "sums.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -33,14 +32,13 @@ typedef struct {
     uint32_t unit;    ///< Of the rest of it, the next block or table.
     uint32_t waited;  ///< Cycles for which the cut has waited.
     uint32_t tries;   ///< How often this kind has begun again.
-    uint32_t dropped; ///< zygos_arm_t.dropped at the cut.
+    uint32_t dropped; ///< zygos_sums_t.dropped at the cut.
     uint32_t whole;   ///< 1: the cut has copied the blocks of the open arc of energy rows, too.
     uint32_t fold;    ///< Of all of these: a copy that memory errors have led elsewhere would lack sums.
     uint8_t apart[ZYGOS_ORDER_PLACES]; ///< 1: this block of energy rows needs not be copied as one of the others.
 } zygos_handover_t;
 
-/// Kinds behind those of enum zygos_rows: the joint rows, and the running solution.
-#define ZYGOS_JOINT_KIND 3u
+/// The running solution, which follows ZYGOS_JOINT_KIND.
 #define ZYGOS_GUARD_KIND 4u
 #define ZYGOS_HANDOVER_KINDS 5u
 
@@ -51,9 +49,9 @@ void zygos_handover_begin(zygos_handover_t *self);
 uint32_t zygos_handover_held(const zygos_handover_t *self);
 
 /// Copies the next part. Call it before a cycle is processed. Needs a state that was initialised. Where memory has
-/// changed *self, the copy begins anew. Returns whether all is copied; work->config is the caller's to copy. Cost: a
+/// changed *self, the copy begins anew. Returns whether all is copied; out->config is the caller's to copy. Cost: a
 /// cut, or the copy of a block.
-bool zygos_handover_part(zygos_handover_t *self, const zygos_arm_t *arm, zygos_work_t *work);
+bool zygos_handover_part(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out);
 
 #ifdef __cplusplus
 }

@@ -13,11 +13,7 @@
 
 #include "../estimate.h"
 #include "../types.h"
-#include "accumulator.h"
-#include "guard.h"
-#include "jointsums.h"
-#include "momentumsums.h"
-#include "motorsums.h"
+#include "sums.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -95,12 +91,7 @@ extern "C" {
 /// lie in memory of the accumulator that is free when all arcs have ended. It belongs to the task that solves; its
 /// members are not for reading.
 typedef struct {
-    zygos_accumulator_t *accumulator;
-    zygos_motor_sums_t *motor_sums;
-    zygos_momentum_sums_t *momentum_sums;
-    zygos_joint_sums_t *joint_sums;
-    const zygos_guard_t *guard;
-    const zygos_config_t *config;
+    zygos_sums_t *sums;
     double *total;  ///< Sums of all rows, weighted, without their noise.
     double *noise;  ///< The noise that was subtracted.
     double *matrix; ///< The scaled equations.
@@ -120,7 +111,6 @@ typedef struct {
     double *product;
     double *linearised;
     double *prior_variance; ///< The part of each variance that the prior of the gains has.
-    uint64_t cycle;         ///< The newest cycle in the sums.
     zygos_column_map_t column_map;
     double weight[ZYGOS_MAX_JOINTS]; ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;          ///< Weight of the momentum rows.
@@ -153,27 +143,9 @@ typedef struct {
 /// A copy of the sums, and scratch memory of the solver. It is filled by zygos_arm_take() and consumed by
 /// zygos_work_solve(). It belongs to the task that solves; its members are not for reading.
 typedef struct {
-    zygos_accumulator_t accumulator;
-    zygos_motor_sums_t motor_sums;
-    zygos_momentum_sums_t momentum_sums;
-    zygos_joint_sums_t joint_sums;
-    zygos_guard_t guard;
-    double joints_forgetting;
-    uint64_t cycle;
-    uint32_t arc;                        ///< Number of instants in the open arc of the energy rows.
-    uint32_t ending;                     ///< Kinds of rows, as bits, whose open arc has ended and waits (zygos.h).
-    uint64_t ended[ZYGOS_KINDS_OF_ROWS]; ///< The newest cycle of these arcs.
-    double ended_forgetting[ZYGOS_KINDS_OF_ROWS]; ///< Their products of forgetting factors.
-    uint64_t checksum;                            ///< zygos_copied_checksum() of what was copied.
-    zygos_config_t config;
-    zygos_column_map_t column_map;
+    zygos_sums_t sums;
     zygos_solver_t solver;
 } zygos_work_t;
-
-/// Returns the checksum of a configuration and of the tables beside the sums, which no row sums protect. Cost: one pass
-/// over them.
-uint64_t zygos_copied_checksum(const zygos_config_t *config, const zygos_motor_sums_t *motors,
-                               const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints);
 
 /// Solves the normal equations in *work, which is changed, and writes *out. If zygos_arm_adopt() is in use, and the
 /// estimate is not valid because the residuals are larger than noise, the solution is repeated without the oldest
@@ -191,21 +163,11 @@ uint64_t zygos_copied_checksum(const zygos_config_t *config, const zygos_motor_s
 /// a refused solution costs hardly more than a valid one (docs/cost.md).
 int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out);
 
-/// The parts of zygos_arm_solve(): whether the sums match, the solution, and the estimate where they do
-/// not. They need the members of *self from accumulator to config, and cycle, and that all arcs have ended. The
-/// triangles are free and empty before and afterwards. Cost: as zygos_work_intact() and zygos_work_solve().
-bool zygos_solver_matches(const zygos_solver_t *self);
+/// The parts of zygos_arm_solve() behind zygos_sums_match(): the solution, and the estimate where they do not match.
+/// They need the member sums of *self, and that all arcs have ended. The triangles are free and empty before and
+/// afterwards. Cost: as zygos_work_solve().
 int zygos_solver_solve(zygos_solver_t *self, zygos_estimate_t *out);
 int zygos_solver_refuse(zygos_estimate_t *out);
-
-/// Finishes the tasks that proceed beside the cycles (accumulator.h). Returns false when a count, an index or a closing
-/// arc is not as it was accumulated. zygos_work_intact() does this first. Cost: a few passes over the sums of an arc.
-bool zygos_work_settle(zygos_work_t *work);
-
-/// Returns whether the sums and counts in *work are those that were accumulated. Where this is false,
-/// zygos_work_solve() gives ZYGOS_REASON_CORRUPT. The function changes *work, as zygos_work_solve() does: call
-/// zygos_arm_take() before each of them. Cost: a few passes over the sums.
-bool zygos_work_intact(zygos_work_t *work);
 
 /// Detects a change of the arm by comparing the newest arc with all arcs before it. An arc with fewer than half the
 /// instants of the longest arc is not compared by itself: several such arcs count together once they have as many.
