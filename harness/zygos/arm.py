@@ -69,6 +69,8 @@ JOINT_ROW_S = 0.2
 _FARTHEST_M = 1e6
 MOST_JOINTS = 31
 """Number of CAN nodes that joints can have."""
+HIGHEST_ORDER = 8
+"""Highest order of the smoother's polynomial."""
 _SHORTEST_MEMORY = 2
 """Shortest memory, as a number of arcs."""
 
@@ -963,7 +965,7 @@ def _smoother(table: Table, period_s: float) -> Smoother:
         "Order of the polynomial that is fitted to the window, at most points - 3.",
         min(4, points - 3),
         low=2,
-        high=8,
+        high=HIGHEST_ORDER,
         otherwise="the lesser of 4 and points - 3",
     )
     if order > points - 3:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from audit_support import (
     shifted,
     stuck,
     swapped,
+    with_column,
 )
 from runs_support import trajectory_of
 from scipy.integrate import solve_ivp
@@ -37,8 +39,13 @@ from zygos.accuracy.cases import all_cases, chosen
 from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.audit import Audit, audit
 from zygos.audit.balance import flattened
+from zygos.audit.delays import Group
+from zygos.audit.delays import shifted as taken_later
 from zygos.audit.means import Means, jackknifed
-from zygos.audit.readings import grid_step, noise_level, runs_of_equal
+from zygos.audit.readings import grid_step, noise_level, runs_of_equal, white_noise
+from zygos.audit.remedies import Kind
+from zygos.audit.sections import answer_of
+from zygos.can.run import Run, load_run
 from zygos.effects import Effect, effect
 from zygos.errors import ZygosError
 from zygos.model.model import load_model
@@ -293,7 +300,7 @@ def test_what_an_arm_may_do_is_no_fault_of_a_signal(name: str, key: str) -> None
     (cycles,) = run(name, arm, 1, *FRICTION[key])
     found = audit(arm, cycles)
     assert found.findings == ()
-    assert any("viscous friction" in note for note in found.notes) == (key == "viscous")
+    assert any("viscous friction" in text for text in found.remarks) == (key == "viscous")
     assert named(audit(arm, inverted("tau", 1)(cycles))) == {T2: "inverted"}
 
 
@@ -321,6 +328,101 @@ def test_signs_and_zeros_of_the_arm_file_count(runs: dict[str, tuple[Arm, list[C
     first = found.findings[0]
     assert (first.signal, first.fault) == (Q1, "inverted")
     assert "sign = 1" in first.remedy
+
+
+# --------------------------------------------------------------------------------------- the common mistakes first
+
+CASES = Path(ROOT).parent / "shared" / "cases"
+WRAPS = "link_angle_wraps_pi_check_arm_accuses_gear.npz"
+
+
+def test_wraps_are_named_and_no_gear_is_accused() -> None:
+    """An angle of a sine in ±π leaves its range three times; all else of the run is right."""
+    need((CASES / WRAPS).is_file(), f"the run {WRAPS}")
+    run_of_case = load_run(CASES / WRAPS, CASES / "paper_arm.toml")
+    found = audit(run_of_case.arm, run_of_case.cycles)
+    assert named(found) == {Q2: "wraps 3 times at ±π"}
+    jumps = np.flatnonzero(np.abs(np.diff(run_of_case.q[:, 1])) > np.pi) + 1
+    assert f"before cycle {jumps[0]}" in found.findings[0].evidence and len(jumps) == 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "unit", "factor"),
+    [("theta", "deg", 180.0 / np.pi), ("q", "counts", 1.0 / 0.003), ("theta", "turn", 0.5 / np.pi)],
+)
+def test_an_angle_in_another_unit(
+    runs: dict[str, tuple[Arm, list[Cycles]]], kind: str, unit: str, factor: float
+) -> None:
+    arm, clean = runs["lively"]
+    assert arm.joints[0].link_encoder.quantum_rad == 0.003
+    found = named(audit(arm, scaled(kind, 0, factor)(clean[0])))
+    assert list(found) == [{"q": Q1, "theta": M1}[kind]]
+    assert next(iter(found.values())).startswith(f"in {unit}, not in rad")
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("deg/s", 180.0 / np.pi), ("rpm", 30.0 / np.pi), ("mrad/s", 1e3)])
+def test_a_gyro_in_another_unit_is_not_turned(
+    runs: dict[str, tuple[Arm, list[Cycles]]], unit: str, factor: float
+) -> None:
+    """A gyro whose readings are too large is explained a little better by axes that do not move."""
+    arm, clean = runs["lively"]
+    found = named(audit(arm, both(*(scaled("omega", i, factor) for i in range(3)))(clean[0])))
+    assert list(found) == ["gyro x", "gyro y", "gyro z"]
+    assert all(fault.startswith(f"in {unit}, not in rad/s") for fault in found.values())
+
+
+@pytest.mark.slow(but=["tau-columns0-2.0"])
+@pytest.mark.parametrize(
+    ("kind", "columns", "periods"),
+    [("tau", (0, 1), 2.0), ("tau", (0, 1), 1.4), ("tau", (0,), 1.5), ("omega", (0, 1, 2), 3.3)],
+)
+def test_a_delay_is_found_within_its_interval(
+    runs: dict[str, tuple[Arm, list[Cycles]]], kind: Kind, columns: tuple[int, ...], periods: float
+) -> None:
+    arm, clean = runs["b"]
+    moved = taken_later(clean[0], Group(kind, columns), -periods)
+    found = audit(arm, Cycles(*(getattr(moved, name)[10:-10] for name in Cycles.__dataclass_fields__)))
+    (finding,) = found.findings
+    said = re.fullmatch(r"late by ([\d.]+) ms ± ([\d.e+-]+)", finding.fault)
+    assert said is not None
+    late_ms, sigma_ms = float(said[1]), float(said[2])
+    assert abs(late_ms - 1e3 * arm.period_s * periods) < 4.0 * sigma_ms + 0.05
+    assert {one.key for one in finding.settings} == {"delay_s"}
+
+
+def test_vibration_is_no_noise_and_noise_of_the_gyro_is(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    """Content of 30 to 45 Hz in both encoders of a joint, 50 times their noise; and a gyro with three times its own."""
+    arm, clean = runs["b"]
+    t = arm.period_s * np.arange(len(clean[0]))
+    sigma = arm.joints[0].link_encoder.sigma_rad
+    shakes = 50.0 * sigma * sum(np.sin(2 * np.pi * f * t + f) for f in np.arange(30.0, 45.0, 1.7))
+    shaken = both(*(lambda c, k=k: with_column(c, k, 0, getattr(c, k)[:, 0] + shakes) for k in ("q", "theta")))(
+        clean[0]
+    )  # type: ignore[misc]
+    assert noise_level(shaken.q[:, 0], [(0, len(t))]) > 10.0 * sigma
+    assert not [f for f in audit(arm, shaken).findings if f.fault.startswith("noisier")]
+    loud = both(*(noisy("omega", i, np.sqrt(8.0) * arm.imu.rate_sigma) for i in range(3)))(clean[0])
+    assert [f.signal for f in audit(arm, loud).findings] == ["gyro x", "gyro y", "gyro z"]
+
+
+def test_white_noise_is_that_of_the_band_with_least() -> None:
+    t = np.arange(4000)
+    for seed in range(3):
+        noise = 1e-3 * np.random.default_rng(seed).standard_normal(len(t))
+        motion = np.sin(0.01 * t) + 0.05 * np.sin(1.1 * t)
+        assert white_noise(motion + noise, [(0, len(t))]) == pytest.approx(1e-3, rel=0.15)
+        assert noise_level(motion + noise, [(0, len(t))]) > 3e-3
+
+
+def test_the_headline_says_what_is_open(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    """A law that the run does not decide is in the headline, and the answer is not green; no signal is in doubt."""
+    arm, clean = runs["b"]
+    answer = answer_of(Run(arm, table=clean[0]), audit(arm, clean[0]))
+    assert (answer.verdict, answer.tone) == ("confirmed", "good")
+    found = replace(audit(arm, clean[0]), notes=("torque_law: not decided (…)",))
+    answer = answer_of(Run(arm, table=clean[0]), found)
+    assert found.ok and answer.tone == "open"
+    assert answer.sentence == "the run confirms every signal of the arm file; open: torque_law"
 
 
 def test_what_does_not_move_is_not_decided(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:

@@ -121,7 +121,8 @@ def test_the_noise_of_torques_is_compared_with_the_declared_one() -> None:
     assert faults(audited(cycles, sigma)) == {}
     said = faults(audited(cycles, sigma / 100.0))
     assert any(fault.startswith("noisier than declared by a factor of ") for fault in said.values())
-    assert set(faults(audited(cycles, 0.0)).values()) == {"noisy, and no noise is declared"}
+    silent = audited(cycles, 0.0)
+    assert silent.ok and all(any(f"{name}: changes by" in text for text in silent.remarks) for name in T[:THREE])
 
 
 def test_a_short_run_decides_nothing() -> None:

@@ -10,9 +10,10 @@ from typing import cast
 
 import numpy as np
 
-from zygos.arm import Arm, Smoother, TorqueLaw
+from zygos.arm import HIGHEST_ORDER, TORQUE_GAIN_SIGMA, Arm, Smoother, TorqueLaw
 from zygos.audit.means import Array
-from zygos.effects import CATALOGUE, Effect, with_gains
+from zygos.audit.remedies import KINDS
+from zygos.effects import CATALOGUE, GAIN, Effect, with_gains
 from zygos.files.output import counted
 from zygos.native.flight import REASONS, Estimate, Flight, fits_window, lib
 from zygos.runs.cycles import Cycles
@@ -22,7 +23,6 @@ MOST_CYCLES = 20_000
 MOST_SMOOTHED = 100_000
 """The same where the run is flown two to four times."""
 LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
-KINDS = ("q", "theta", "tau")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def flattened(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> Flattened 
     """
     points = max(arm.smoother.points, arm.smoother.order + 5)
     other = replace(arm, smoother=Smoother(points, arm.smoother.order + 2, points // 2))
-    if arm.smoother.cutoff_hz is not None or not fits_window(other):
+    if arm.smoother.cutoff_hz is not None or other.smoother.order > HIGHEST_ORDER or not fits_window(other):
         return None
     part = Cycles(*(getattr(cycles, name)[:MOST_SMOOTHED] for name in Cycles.__dataclass_fields__))
 
@@ -96,28 +96,56 @@ class Balance:
         self.few = False
         """Whether the reason is that there are too few instants."""
         self.residual_j = self.residual(arm, self.cycles)
+        self.noisy = self._reason == REASONS[lib.ZYGOS_REASON_NOISE]
+        """Whether sensor noise is as large as the motion, so that no shift in time can be told from another."""
 
     def residual(self, arm: Arm, cycles: Cycles) -> float:
         """rms residual, J; infinite if there is no estimate."""
+        return self._residuals(arm, cycles)[0]
+
+    def share(self, cycles: Cycles) -> float:
+        """rms residual as a share of the rms work; infinite if there is no estimate."""
+        return self._residuals(self.arm, cycles)[1]
+
+    def _residuals(self, arm: Arm, cycles: Cycles) -> tuple[float, float]:
+        """rms residual, J, and its share of the rms work."""
         flight = Flight(arm, self.friction)
         flight.cycles(cycles)
         estimate = flight.estimate()
-        residual = float(estimate.residual)
+        residual, self._reason = float(estimate.residual), estimate.reason
         if math.isfinite(residual) and residual > 0.0:
-            return residual
+            return residual, math.sqrt(flight.unexplained(estimate))
         self.few = estimate.reason == REASONS[1]
         self.reason = (
             f"{estimate.reason}: {counted(estimate.accepted, 'instant')} accepted, {estimate.refused:,} refused by the "
             "bandwidth test"
         )
-        return math.inf
+        return math.inf, math.inf
 
-    def laws(self, arm: Arm) -> dict[str, float]:
+    def gains(self, cycles: Cycles) -> Array | None:
+        """(N,) how many times the torque that fits the first joint's each torque sensor reports; None where the balance
+        does not close with any gains."""
+        joints = tuple(
+            replace(joint, torque_gain_sigma=joint.torque_gain_sigma or TORQUE_GAIN_SIGMA) for joint in self.arm.joints
+        )
+        arm = replace(self.arm, joints=joints)
+        room = lib.ZYGOS_MAX_EFFECTS_VALUE - len(with_gains(arm, ()))
+        flight = Flight(arm, self.friction[: max(room, 0)])
+        flight.cycles(cycles)
+        estimate = flight.estimate()
+        if estimate.validity not in ("valid", "partial") and estimate.reason != REASONS[lib.ZYGOS_REASON_GAIN]:
+            return None
+        found = np.ones(arm.n)
+        for i in arm.relative_gains:
+            found[i] = 1.0 / (1.0 + estimate.solution[estimate.names.index(f"{GAIN}{i + 1}")])
+        return np.asarray(found / found[0], dtype=np.float64)
+
+    def laws(self, arm: Arm) -> dict[TorqueLaw, float]:
         """rms residual under each torque law, J."""
         return {law: self.residual(replace(arm, torque_law=law), self.cycles) for law in LAWS}
 
     def trials(self, zeros: dict[str, Array]) -> Iterator[tuple[float, WholeFault]]:
-        """Residual after correction of each fault, J. zeros: as in `zygos.audit.motors.changed`."""
+        """What is `left` after correction of each fault. zeros: as in `zygos.audit.motors.changed`."""
         for turn in self._turns():
             moved = replace(self.cycles, omega=self.cycles.omega @ turn.T)
             yield self.residual(self.arm, moved), WholeFault("gyro", (), turn, moved)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from zygos.arm import Arm
+from zygos.arm import Arm, TorqueLaw
+from zygos.audit.remedies import Kind, Setting
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,8 @@ class SignalFault:
     evidence: str
     """The number on which the finding is based."""
     remedy: str
+    settings: tuple[Setting, ...] = ()
+    """The keys that the remedy proposes; empty where no key helps."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +73,12 @@ class Audit:
     signals: tuple[Signal, ...]
     findings: tuple[SignalFault, ...]
     pairs: tuple[Pair, ...]
-    laws: dict[str, float] = field(default_factory=dict)
+    laws: dict[TorqueLaw, float] = field(default_factory=dict)
     """rms residual of the energy balance in J under each torque law; empty where the C library has no columns."""
     notes: tuple[str, ...] = ()
     """What could not be decided, and the reasons."""
+    remarks: tuple[str, ...] = ()
+    """What was found and is no fault."""
     still: tuple[str, ...] = ()
     """Joints that do not move."""
     short: bool = False
@@ -96,9 +101,9 @@ class Traffic:
     """SYNC period by the SYNC producer's own clock (FTIME), s."""
 
 
-def signal_names(arm: Arm) -> list[tuple[str, str, int]]:
+def signal_names(arm: Arm) -> list[tuple[str, Kind, int]]:
     """Name, field of `Cycles` and column of each signal. A rigid joint has only one angle."""
-    out = []
+    out: list[tuple[str, Kind, int]] = []
     for i, joint in enumerate(arm.joints):
         if joint.flexible:
             out.append((f"{joint.name} link angle", "q", i))

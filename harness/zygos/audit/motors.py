@@ -13,6 +13,8 @@ from scipy.optimize import linear_sum_assignment, nnls
 
 from zygos import limits
 from zygos.audit.means import Array, Means, smooth_direction
+from zygos.audit.remedies import KINDS, Kind
+from zygos.audit.units import nearest, scales
 from zygos.runs.cycles import Cycles
 
 
@@ -23,8 +25,8 @@ class Change:
 
     what: str
     """Kind of fault: "inverted", "swapped", "exchanged", "scaled"."""
-    kind: str = ""
-    """Field of `Cycles`."""
+    kind: Kind | None = None
+    """Field of `Cycles`; None where both angles are exchanged."""
     joints: tuple[int, ...] = ()
     source: tuple[int, ...] = ()
     factor: float = 1.0
@@ -42,8 +44,9 @@ def changed(cycles: Cycles, change: Change, zeros: dict[str, Array]) -> Cycles:
         for i in change.joints:
             q[:, i], theta[:, i] = cycles.theta[:, i], cycles.q[:, i]
         return replace(cycles, q=q, theta=theta)
+    assert change.kind is not None
     readings: Array = getattr(cycles, change.kind).copy()
-    zero = zeros.get(change.kind, np.zeros(readings.shape[1]))
+    zero = zeros.get(change.kind, np.zeros(readings.shape[1])) * (change.what == "inverted")
     for i, j in zip(change.joints, change.source, strict=True):
         readings[:, i] = zero[i] + change.factor * (getattr(cycles, change.kind)[:, j] - zero[i])
     fields: dict[str, Any] = {change.kind: readings}
@@ -148,24 +151,27 @@ class Motors:
         """The faults that are distinguished."""
         for i in self.use:
             flexible = self.arm.joints[i].flexible
-            ratio = float(self.arm.gear_ratios[i])
-            for kind in ("q", "theta", "tau") if flexible else ("tau",):
+            for kind in KINDS if flexible else KINDS[2:]:
                 yield Change("inverted", kind, (i,), (i,), -1.0)
             if flexible and not self.stiff[i]:
-                yield Change("exchanged", "", (i,))
+                yield Change("exchanged", None, (i,))
             if flexible:
-                scales = {ratio, 1.0 / ratio} - {1.0}
-                if self.stiff[i]:
-                    scales = {float(np.std(self.means.q[i][1]) / np.std(self.means.theta[i][1]))}
-                for scale in scales:
-                    yield Change("scaled", "q", (i,), (i,), 1.0 / scale)
-                    yield Change("scaled", "theta", (i,), (i,), scale)
-        for kind in ("q", "theta", "tau"):
+                for kind in KINDS[:2]:
+                    factors = [scale.factor for scale in scales(self.arm, kind, i)]
+                    if self.stiff[i]:
+                        both = self.means.q[i][1], self.means.theta[i][1]
+                        own, other = both if kind == "q" else both[::-1]
+                        measured = float(np.std(other) / np.std(own))
+                        known = nearest(scales(self.arm, kind, i), measured, limits.SCALE_OFF.value)
+                        factors = [measured] if known is None else [measured, known.factor]
+                    for factor in factors:
+                        yield Change("scaled", kind, (i,), (i,), factor)
+        for kind in KINDS:
             swap = self._best_assignment(kind)
             if swap is not None:
                 yield swap
 
-    def _best_assignment(self, kind: str) -> Change | None:
+    def _best_assignment(self, kind: Kind) -> Change | None:
         joints = [i for i in self.use if kind == "tau" or self.arm.joints[i].flexible]
         if len(joints) < 2:
             return None

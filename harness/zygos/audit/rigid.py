@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,6 +20,7 @@ from scipy.optimize import minimize_scalar
 
 from zygos.arm import Arm
 from zygos.audit.means import Array
+from zygos.audit.units import FACTORS, scales
 from zygos.balances.joint import in_order, joint_columns, joint_rows
 from zygos.balances.state import State
 from zygos.runs.cycles import Cycles
@@ -52,17 +54,17 @@ _LOOSE = 0.1
 
 @dataclass(frozen=True)
 class Reading:
-    """A hypothesis: the torque of joint i is `factor[i]` times the reading of joint `source[i]`; the angles of the
-    joints in `turned` have the other sign."""
+    """A hypothesis: the torque of joint i is `factor[i]` times the reading of joint `source[i]`, its angle `angle[i]`
+    times its reading, where -1 turns it about its zero."""
 
     source: tuple[int, ...]
     factor: tuple[float, ...]
-    turned: frozenset[int] = frozenset()
+    angle: tuple[float, ...]
 
     @classmethod
     def declared(cls, n: int) -> Reading:
         """The hypothesis that the arm file is right."""
-        return cls(tuple(range(n)), (1.0,) * n)
+        return cls(tuple(range(n)), (1.0,) * n, (1.0,) * n)
 
     def swapped(self, i: int, j: int) -> Reading:
         """Two torques exchanged in addition."""
@@ -74,17 +76,16 @@ class Reading:
         """The torques of joints multiplied in addition."""
         return replace(self, factor=tuple(f * by if i in joints else f for i, f in enumerate(self.factor)))
 
-    def turning(self, i: int) -> Reading:
-        """The angle of a joint with the other sign in addition."""
-        return replace(self, turned=self.turned ^ {i})
+    def with_angles(self, by: float, *joints: int) -> Reading:
+        """The angles of joints multiplied in addition."""
+        return replace(self, angle=tuple(f * by if i in joints else f for i, f in enumerate(self.angle)))
 
     def differs(self, other: Reading) -> tuple[int, ...]:
         """Joints of which the two do not say the same."""
         return tuple(
             i
             for i in range(len(self.source))
-            if (self.source[i], self.factor[i], i in self.turned)
-            != (other.source[i], other.factor[i], i in other.turned)
+            if (self.source[i], self.factor[i], self.angle[i]) != (other.source[i], other.factor[i], other.angle[i])
         )
 
 
@@ -101,10 +102,18 @@ class Score:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Products of columns and impulses over one half, by joint: (N, p + 3N + N, ...) squared."""
+    """Products of columns and impulses over a part of a run, by joint: (N, p + 3N + N, ...) squared."""
 
     gram: Array
     rows: int
+
+
+def with_angles(arm: Arm, cycles: Cycles, angle: tuple[float, ...]) -> Cycles:
+    """The run under a hypothesis about the angles of its rigid joints: a factor in their unit, or -1 about the zero."""
+    factor = np.array(angle)
+    zero = np.array([joint.motor_encoder.zero_rad for joint in arm.joints])
+    theta = factor * cycles.theta + np.where(factor < 0.0, (1.0 - factor) * zero, 0.0)
+    return replace(cycles, q=theta, theta=theta)
 
 
 class RigidLaw:
@@ -115,14 +124,15 @@ class RigidLaw:
         self.arm = arm
         self.cycles = Cycles(*(getattr(cycles, name)[:MOST_CYCLES] for name in Cycles.__dataclass_fields__))
         self.with_rows = [i for i in range(arm.n) if i not in broken]
-        self._sums: dict[frozenset[int], tuple[_Sums, _Sums]] = {}
-        self._kinetic: dict[frozenset[int], Array] = {}
+        self._without: int | None = None
+        self._sums: dict[tuple[float, ...], tuple[_Sums, ...]] = {}
+        self._kinetic: dict[tuple[float, ...], Array] = {}
         self._scores: dict[Reading, Score] = {}
 
     @cached_property
     def enough(self) -> bool:
         """Whether each half has at least 3 times as many rows as the law has parameters."""
-        halves = self._halves(frozenset())
+        halves = self._halves((1.0,) * self.arm.n)
         return bool(halves) and min(half.rows for half in halves) * len(self.with_rows) >= 3 * self.unknown
 
     @property
@@ -151,10 +161,15 @@ class RigidLaw:
             yield reading.swapped(i, j)
 
     def angle_changes(self, reading: Reading, use: Sequence[int]) -> Iterator[Reading]:
-        """The same with the angle of a joint inverted, alone or with its torque."""
+        """The same with the angles of all joints or of one in another unit, and with that of a joint inverted, alone or
+        with its torque."""
+        for factor in FACTORS["angle"].values():
+            yield reading.with_angles(factor, *use)
         for i in use:
-            yield reading.turning(i)
-            yield reading.turning(i).scaled(-1.0, i)
+            for scale in scales(self.arm, "theta", i) if len(use) > 1 else ():
+                yield reading.with_angles(scale.factor, i)
+            yield reading.with_angles(-1.0, i)
+            yield reading.with_angles(-1.0, i).scaled(-1.0, i)
 
     def rescaled(self, reading: Reading, joint: int) -> Reading:
         """The same with the scale of a torque that fits best, searched from what the other joints predict; unchanged
@@ -178,7 +193,7 @@ class RigidLaw:
     def with_fitted_scales(self, reading: Reading, joints: Sequence[int]) -> Reading:
         """The same with the scales of torques that fit best beside each other, relative to the first of these joints: a
         linear fit in which they are unknowns beside the law's parameters. Signs remain."""
-        halves = self._halves(reading.turned)
+        halves = self._halves(reading.angle)
         used = [j for j in joints if j in self.with_rows]
         if not halves or len(used) < 2:
             return reading
@@ -209,7 +224,7 @@ class RigidLaw:
 
     def _predicted_scale(self, reading: Reading, joint: int) -> float:
         """Scale of a joint's torque by which it follows from the parameters that the other joints' torques show."""
-        halves = self._halves(reading.turned)
+        halves = self._halves(reading.angle)
         others = [j for j in self.with_rows if j != joint]
         if not halves or not others or joint not in self.with_rows:
             return 1.0
@@ -235,26 +250,47 @@ class RigidLaw:
 
     # -- sums
 
-    def _halves(self, turned: frozenset[int]) -> tuple[_Sums, _Sums] | tuple[()]:
-        if turned not in self._sums:
-            found = self._products(turned)
-            if found is None:
-                return ()
-            self._sums[turned] = found
-        return self._sums[turned]
+    def taking(self, reading: Reading, other: RigidLaw, joints: Collection[int], block: int | None) -> RigidLaw:
+        """This law with the torques of joints from another run of the same motion, and without a block of the run; for
+        hypotheses with the angles of one."""
+        mixed = copy(self)
+        mixed._without, mixed._scores = block, {}
+        chosen = np.isin(np.arange(self.arm.n), list(joints))[:, None, None]
+        mixed._sums = {
+            reading.angle: tuple(
+                _Sums(np.where(chosen, theirs.gram, own.gram), min(own.rows, theirs.rows))
+                for own, theirs in zip(self._blocks(reading.angle), other._blocks(reading.angle), strict=True)
+            )
+        }
+        return mixed
 
-    def _products(self, turned: frozenset[int]) -> tuple[_Sums, _Sums] | None:
-        """The sums of both halves, with the angles of joints turned; None for a run that is too short."""
-        joints = []
-        for i, joint in enumerate(self.arm.joints):
-            sign = -1 if i in turned else 1
-            encoder = replace(joint.motor_encoder, sign=sign * joint.motor_encoder.sign)
-            joints.append(replace(joint, motor_encoder=encoder, link_encoder=encoder))
-        arm = replace(self.arm, joints=tuple(joints))
-        samples = calibrate(arm, self.cycles)
+    def _blocks(self, angle: tuple[float, ...]) -> tuple[_Sums, ...]:
+        """The sums of each block; none for a run that is too short."""
+        if angle not in self._sums:
+            self._sums[angle] = self._products(angle)
+        return self._sums[angle]
+
+    def _halves(self, angle: tuple[float, ...]) -> tuple[_Sums, _Sums] | tuple[()]:
+        blocks = self._blocks(angle)
+        if not blocks:
+            return ()
+        used = [(k, block) for k, block in enumerate(blocks) if k != self._without]
+        one, other = (
+            _Sums(
+                sum((b.gram for k, b in used if k % 2 == side), np.zeros(())),
+                sum(b.rows for k, b in used if k % 2 == side),
+            )
+            for side in (0, 1)
+        )
+        return one, other
+
+    def _products(self, angle: tuple[float, ...]) -> tuple[_Sums, ...]:
+        """The sums of each block, with the angles of joints multiplied; none for a run that is too short."""
+        arm = self.arm
+        samples = calibrate(arm, with_angles(arm, self.cycles, angle))
         smoothed = smooth(arm, samples)
         if len(smoothed.index) == 0:
-            return None
+            return ()
         friction = _friction(arm, smoothed)
         blocks: list[Array] = []
         for piece in _pieces(smoothed):
@@ -262,24 +298,23 @@ class RigidLaw:
             if rows is not None:
                 blocks.append(rows)
         if not blocks:
-            return None
+            return ()
         state = State.smoothed(
             arm, _part(smoothed, np.unique(np.linspace(0, len(smoothed.index) - 1, _STATES, dtype=int)))
         )
         columns = joint_columns(arm, state)
         momentum = in_order(arm, columns.momentum, columns.rotor_momentum)
-        self._kinetic[turned] = np.einsum("mj,mjp->p", state.qd, momentum)
+        self._kinetic[angle] = np.einsum("mj,mjp->p", state.qd, momentum)
         rows = np.concatenate(blocks)
         number = np.arange(len(rows)) * _BLOCKS // len(rows)
         whole = np.append(True, number[1:] == number[:-1])  # neighbours share half of their time
-        halves = [rows[whole & (number % 2 == side)] for side in (0, 1)]
-        one, other = (_Sums(np.einsum("mja,mjb->jab", half, half), len(half)) for half in halves)
-        return one, other
+        blocks = [rows[whole & (number == block)] for block in range(_BLOCKS)]
+        return tuple(_Sums(np.einsum("mja,mjb->jab", block, block), len(block)) for block in blocks)
 
     # -- fits
 
     def _score(self, reading: Reading) -> Score:
-        halves = self._halves(reading.turned)
+        halves = self._halves(reading.angle)
         n = self.arm.n
         if not halves:
             return Score(math.inf, np.full(n, math.nan))
@@ -287,7 +322,7 @@ class RigidLaw:
         energy = 0.0
         for train, test in (halves, halves[::-1]):
             x = self._fit(train, reading)
-            energy += float(self._kinetic[reading.turned] @ x[: len(self._kinetic[reading.turned])])
+            energy += float(self._kinetic[reading.angle] @ x[: len(self._kinetic[reading.angle])])
             for j in self.with_rows:
                 gram, target = self._target(test, reading, j)
                 left[j] += max(_square(gram, x), _LEAST**2 * target)

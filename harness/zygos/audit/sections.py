@@ -72,8 +72,14 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
     return Answer(
         about="a run beside its arm file",
         arm=arm.name,
-        verdict="confirmed" if found.ok else "something is wrong" if found.findings else "not confirmed",
-        tone="good" if found.ok else "open",
+        verdict="something is wrong"
+        if found.findings
+        else "not confirmed"
+        if not found.ok
+        else "confirmed, with something open"
+        if found.notes
+        else "confirmed",
+        tone="good" if found.ok and not found.notes else "open",
         sentence=summary(found),
         lead=tuple(lead),
         reading=_READING,
@@ -87,6 +93,7 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
                 ),
             ),
             section("open", "What is open", Items(tuple(found.notes)) if found.notes else None),
+            section("remarks", "What is no fault", Items(tuple(found.remarks)) if found.remarks else None),
             section(
                 "signals",
                 "Signals",
@@ -135,6 +142,7 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
         brief=(
             *(f"{one.signal}: {one.fault} ({one.evidence}); remedy: {one.remedy}" for one in found.findings),
             *(f"open: {text}" for text in found.notes),
+            *(f"no fault: {text}" for text in found.remarks),
         ),
     )
 
@@ -207,7 +215,14 @@ def summary(found: Audit) -> str:
     if not found.ok:
         names = ", ".join(signal.name for signal in found.signals if not signal.decided)
         return f"no fault was found, but nothing confirms {names}"
+    if found.notes:
+        return f"the run confirms every signal of the arm file; open: {', '.join(open_questions(found))}"
     return "the run confirms every signal of the arm file"
+
+
+def open_questions(found: Audit) -> list[str]:
+    """What the notes are about, each once."""
+    return list(dict.fromkeys(note.partition(":")[0] for note in found.notes))
 
 
 def advice(found: Audit) -> str:

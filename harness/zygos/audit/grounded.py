@@ -1,0 +1,207 @@
+"""Faults of an arm with a fixed base and rigid joints, by the law of the whole arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from zygos import limits
+from zygos.audit import remedies
+from zygos.audit.case import Case
+from zygos.audit.delays import Delay, Group, find_delay, groups, shifted
+from zygos.audit.rigid import Reading, RigidLaw, with_angles
+from zygos.audit.units import FACTORS, Scale, find_scale, find_torque_scale, nearest, scales
+from zygos.audit.whole import find_late
+from zygos.runs.cycles import Cycles
+
+
+def check_grounded(case: Case, use: list[int], broken: set[int]) -> None:
+    """Decide delays, signs, places and scales of the readings, and go on with the run after correction."""
+    law = RigidLaw(case.arm, case.cycles, broken)
+    names = {case.name("tau", i) for i in use}
+    if not law.enough:
+        case.undecided |= names
+        case.short = True
+        case.notes.append(
+            "signs and places of the torques: not decided, because the run is too short for the law of the whole arm, "
+            f"which has {law.unknown} parameters"
+        )
+        return
+    declared = Reading.declared(case.arm.n)
+    if _currents(case):
+        declared = law.with_fitted_scales(declared, use)
+    best = _best_reading(case, law, declared, use)
+    late = _delay(case, law, declared, use, broken)
+    if late is not None and _gain(late) > law.score(declared).total - law.score(best).total:
+        law = _correct_delay(case, law, late, broken)
+        best = _best_reading(case, law, declared, use)
+    kept = declared
+    if best != declared and _closes(law, best, use):
+        _find_reading(case, law, declared, best)
+        kept = best
+    for _ in use:
+        late = _delay(case, law, kept, use, broken)
+        if late is None:
+            break
+        law = _correct_delay(case, law, late, broken)
+    _confirm(case, law, kept, [i for i in use if i not in declared.differs(kept)])
+    case.correct(_reread(case, kept))
+
+
+def _currents(case: Case) -> bool:
+    """Whether torques are motor currents, so that the scale of each torque is unknown and no fault."""
+    return case.arm.torque_unit == "A"
+
+
+def _closes(law: RigidLaw, reading: Reading, use: Sequence[int]) -> bool:
+    share = law.score(reading).share[[i for i in use if i in law.with_rows]]
+    return bool(np.all(share <= limits.AUDIT_CLOSES.value))
+
+
+def _best_reading(case: Case, law: RigidLaw, declared: Reading, use: list[int]) -> Reading:
+    """The hypothesis to which each step is clearly better than the one before."""
+
+    def best_of(trials: Iterator[Reading]) -> Reading:
+        return min(trials, key=lambda one: law.score(one).total)
+
+    now = declared
+    for _ in range(3 * len(use)):
+        best = best_of(law.torque_changes(now, use))
+        if not _clearly(law, now, best, limits.AUDIT_SURE.value):
+            break
+        now = best
+    if not _closes(law, now, use):
+        # the columns of each angle change take long, so that these come only where no torque is the reason
+        best = best_of(law.angle_changes(declared, use))
+        if _clearly(law, now, best, limits.AUDIT_SURE.value) and _closes(law, best, use):
+            now = best
+    if _currents(case):
+        return min(declared, now, key=lambda one: law.score(one).total)
+    # a torque of a wrong scale may look inverted, so that scales are also tried on the arm file's own readings
+    ends = [_with_scales(law, start, use) for start in dict.fromkeys((declared, now))]
+    return min(ends, key=lambda one: law.score(one).total)
+
+
+def _with_scales(law: RigidLaw, reading: Reading, use: list[int]) -> Reading:
+    """The hypothesis with each scale that is clearly better, the best one first: a wrong scale of one torque lets
+    those of others seem wrong."""
+    now = reading
+    for _ in use:
+        tried = [(law.rescaled(now, i), i) for i in use if now.factor[i] == reading.factor[i]]
+        tried += [(now.scaled(own, i), i) for _, i in tried for own in FACTORS["torque"].values()]
+        better = [
+            one
+            for one, i in tried
+            if abs(math.log(abs(one.factor[i] / now.factor[i]))) > math.log(limits.SCALE_OFF.value)
+            and _clearly(law, now, one, limits.SURE_SCALE.value)
+        ]
+        if not better:
+            break
+        now = min(better, key=lambda one: law.score(one).total)
+    return now
+
+
+def _clearly(law: RigidLaw, one: Reading, other: Reading, factor: float) -> bool:
+    """Whether the second hypothesis is better by that factor for each joint that it changes."""
+    changes = max(len(one.differs(other)), 1)
+    before, after = law.score(one).total, law.score(other).total
+    return math.isfinite(after) and before - after >= changes * math.log(factor)
+
+
+def _find_reading(case: Case, law: RigidLaw, declared: Reading, best: Reading) -> None:
+    before, after = law.score(declared), law.score(best)
+    for i in declared.differs(best):
+        evidence = (
+            f"the law of the whole arm leaves {100 * after.share[i]:.2g} % of this torque unexplained, and "
+            f"{100 * before.share[i]:.2g} % as the arm file says"
+        )
+        name, factor, angle = case.name("tau", i), best.factor[i], best.angle[i]
+        if angle < 0.0:
+            remedy = remedies.inverted(case.arm, "theta", i)
+            case.find(case.name("theta", i), "inverted", evidence, remedy)
+        elif angle != 1.0:
+            known = nearest(scales(case.arm, "theta", i), angle)
+            find_scale(case, "theta", i, known or Scale(angle), evidence)
+        if best.source[i] != i:
+            case.find(
+                name,
+                f"swapped with {case.name('tau', best.source[i])}" + (" and inverted" if factor < 0.0 else ""),
+                evidence,
+                remedies.swapped(case.arm, "tau", i, best.source[i]),
+            )
+        elif factor < 0.0:
+            case.find(name, "inverted", evidence, remedies.inverted(case.arm, "tau", i))
+        if abs(factor) != 1.0 and not _currents(case):
+            find_torque_scale(case, i, abs(factor), evidence)
+
+
+def _gain(late: Delay) -> float:
+    """By how much the logarithm of the residuals of all joints falls without a delay."""
+    return len(late.group.columns) * math.log(late.ratio)
+
+
+def _delay(case: Case, law: RigidLaw, kept: Reading, use: list[int], broken: set[int]) -> Delay | None:
+    """The delay of all torques or of one that explains most, if the law closes without it."""
+
+    @cache
+    def moved(periods: float) -> RigidLaw:
+        return RigidLaw(case.arm, shifted(law.cycles, Group("tau", tuple(range(case.arm.n))), periods), broken)
+
+    rows = [i for i in use if i in law.with_rows]
+    found: list[Delay] = []
+    for group in groups(rows, gyro=False):
+
+        def left(periods: float, block: int | None, columns: tuple[int, ...] = group.columns) -> float:
+            """The geometric mean of the shares that are left of the torques of a group."""
+            share = law.taking(kept, moved(periods), columns, block).score(kept).share
+            return float(np.exp(np.mean(np.log(share[list(columns)]))))
+
+        own = find_delay(group, left, left(0.0, None), case.arm.period_s)
+        if own is not None and _closes(law.taking(kept, moved(own.periods), group.columns, None), kept, use):
+            found.append(own)
+    return max(found, key=_gain, default=None)
+
+
+def _correct_delay(case: Case, law: RigidLaw, late: Delay, broken: set[int]) -> RigidLaw:
+    """Report a delay; returns the law without it."""
+    find_late(case, late, "the law of the whole arm explains the torques")
+    cycles = shifted(case.cycles, late.group, late.periods)
+    case.correct(cycles)
+    return RigidLaw(case.arm, cycles, broken)
+
+
+def _confirm(case: Case, law: RigidLaw, kept: Reading, use: list[int]) -> None:
+    """Note which signs and places the law does not confirm."""
+    now = law.score(kept)
+    for i in use:
+        name, left = case.name("tau", i), float(now.share[i])
+        if not left <= limits.MOTOR_FITS.value:
+            case.undecided.add(name)
+            case.notes.append(
+                f"{name}: sign and place are not decided (the law of the whole arm leaves {100 * left:.0f} % of "
+                "the torque unexplained)"
+            )
+    for other in law.torque_changes(kept, use):
+        better = now.total - law.score(other).total
+        changes = kept.differs(other)
+        if (
+            -better < len(changes) * math.log(limits.AUDIT_SURE.value)
+            and not {case.name("tau", i) for i in changes} <= case.undecided
+        ):
+            case.undecided |= {case.name("tau", i) for i in changes}
+            what = "inverted" if other.source == kept.source else "swapped"
+            case.notes.append(
+                f"{' and '.join(case.name('tau', i) for i in changes)}: "
+                f"{'sign is' if what == 'inverted' else 'places are'} not decided ({what}, the law of the whole "
+                f"arm explains the torques {math.exp(better / len(changes)):.2f} times as well)"
+            )
+
+
+def _reread(case: Case, reading: Reading) -> Cycles:
+    """The run under a hypothesis."""
+    cycles = with_angles(case.arm, case.cycles, reading.angle)
+    return replace(cycles, tau=cycles.tau[:, list(reading.source)] * np.array(reading.factor))

@@ -1,0 +1,212 @@
+"""The most common mistakes, which each signal shows by itself: angles that wrap, and readings in another unit."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from zygos import limits
+from zygos.arm import Arm
+from zygos.audit import remedies
+from zygos.audit.case import Case
+from zygos.audit.means import Array
+from zygos.audit.readings import grid_step
+from zygos.audit.remedies import Kind
+from zygos.runs.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, Cycles
+from zygos.runs.samples import LARGEST_ANGLE_RAD
+
+FACTORS: dict[str, dict[str, float]] = {
+    "angle": {"deg": math.pi / 180.0, "mrad": 1e-3, "turn": 2.0 * math.pi},
+    "rate": {
+        "deg/s": math.pi / 180.0,
+        "rpm": 2.0 * math.pi / 60.0,
+        "mrad/s": 1e-3,
+        "mdeg/s": math.pi / 180e3,
+        "turn/s": 2.0 * math.pi,
+    },
+    "torque": {"mNm": 1e-3},
+    "current": {"mA": 1e-3},
+}
+"""SI units per unit of `zygos.telemetry.map`, for those units in which a reading may be by mistake."""
+QUANTITY = {"q": "angle", "theta": "angle", "omega": "rate", "tau": "torque"}
+SI = {"angle": "rad", "rate": "rad/s", "torque": "Nm", "current": "A"}
+
+
+_Turn = tuple[float, str, str]
+"""A turn in the unit of the readings, and what half of it and the whole are called."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A factor that a reading may lack."""
+
+    factor: float
+    """The quantity in SI units is this times the reading."""
+    unit: str = ""
+    """The reading's unit, if it is one; "counts" is one."""
+
+
+def quantity(arm: Arm, kind: Kind) -> str:
+    """Key of `FACTORS` for a field of `Cycles`."""
+    return "current" if kind == "tau" and arm.torque_unit == "A" else QUANTITY[kind]
+
+
+def scales(arm: Arm, kind: Kind, i: int) -> list[Scale]:
+    """What the readings of a signal may be multiplied by, by mistake or for lack of it."""
+    known = [Scale(factor, unit) for unit, factor in FACTORS[quantity(arm, kind)].items()]
+    if kind in ("q", "theta"):
+        joint = arm.joints[i]
+        encoder = joint.link_encoder if kind == "q" else joint.motor_encoder
+        known.append(Scale(encoder.quantum_rad, "counts"))
+        ratio = float(joint.gear_ratio)
+        known += [Scale(factor) for factor in (1.0 / ratio, ratio) if ratio != 1.0]
+    return known
+
+
+def nearest(known: list[Scale], factor: float, within: float = 1.0 + limits.STEP_OFF.value) -> Scale | None:
+    """The scale that a measured factor is, within a ratio, that of steps by default; None where it is none of them."""
+    best = min(known, key=lambda one: abs(math.log(one.factor / factor)))
+    return best if abs(math.log(best.factor / factor)) <= math.log(within) else None
+
+
+def rescaled(cycles: Cycles, kind: Kind, columns: list[int], factor: float) -> Cycles:
+    """The run with readings multiplied."""
+    readings: Array = getattr(cycles, kind).copy()
+    readings[:, columns] *= factor
+    fields: dict[str, Any] = {kind: readings}
+    return replace(cycles, **fields)
+
+
+def find_scale(case: Case, kind: Kind, i: int, scale: Scale, evidence: str) -> None:
+    """Report a signal in another unit, or without its gear ratio."""
+    name = case.name(kind, i)
+    if not scale.unit:
+        case.find(
+            name,
+            f"scaled by {1.0 / scale.factor:.4g}",
+            evidence,
+            remedies.scaled(case.arm, kind, i, scale.factor),
+        )
+        return
+    own = SI[quantity(case.arm, kind)]
+    case.find(
+        name,
+        f"in {scale.unit}, not in {own} (a factor of {max(scale.factor, 1.0 / scale.factor):.4g})",
+        evidence,
+        remedies.unit(case.arm, kind, i, scale.unit),
+    )
+
+
+def find_torque_scale(case: Case, i: int, factor: float, evidence: str) -> None:
+    """Report a torque that has to be multiplied by a measured factor: in another unit, or by a wrong gear ratio."""
+    units = [Scale(own, unit) for unit, own in FACTORS[quantity(case.arm, "tau")].items()]
+    unit = nearest(units, factor, limits.SCALE_OFF.value)
+    if unit is not None:
+        find_scale(case, "tau", i, unit, evidence)
+        return
+    remedy = remedies.gear_ratio(case.arm, i, factor)
+    case.find(case.name("tau", i), f"scaled by {1.0 / factor:.4g}", evidence, remedy)
+
+
+def stretches(cycles: Cycles) -> list[tuple[int, int]]:
+    """Half-open ranges of cycles in a row with finite readings, whatever their size."""
+    finite = np.all(np.isfinite(np.hstack([cycles.q, cycles.theta, cycles.tau, cycles.omega])), axis=1)
+    use = finite & ((cycles.flags & INVALID) == 0)
+    joined = np.zeros(len(use), dtype=np.bool_)
+    joined[1:] = use[1:] & use[:-1] & (np.diff(cycles.sync.astype(np.int64)) == 1)
+    joined &= (cycles.flags & (BREAK_BEFORE | VOID_BEFORE)) == 0
+    starts = np.flatnonzero(use & ~joined)
+    ends = np.flatnonzero(use & ~np.append(joined[1:], False)) + 1
+    return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+
+
+def check_wraps(case: Case) -> None:
+    """Report angles that start again after a turn, and go on with the run without the jumps."""
+    ranges = stretches(case.cycles)
+    for name, kind, i in case.names:
+        if kind not in ("q", "theta"):
+            continue
+        found = _wraps(case, kind, i, ranges)
+        if found is None:
+            continue
+        (turn, half, full), at = found
+        readings: Array = getattr(case.cycles, kind).copy()
+        low, high = (float(np.nanmin(readings[:, i])), float(np.nanmax(readings[:, i])))
+        column = readings[:, i]
+        for a, b in ranges:
+            column[a:b] -= turn * np.concatenate([[0.0], np.cumsum(np.rint(np.diff(column[a:b]) / turn))])
+        for (_, end), (start, _) in itertools.pairwise(ranges):
+            column[start:] -= turn * np.rint((column[start] - column[end - 1]) / turn)
+        fields: dict[str, Any] = {kind: readings}
+        case.correct(replace(case.cycles, **fields))
+        ends = f"±{half}" if low < -0.25 * turn else f"0 and {full}"
+        case.find(
+            name,
+            f"wraps {len(at)} time{'s' if len(at) > 1 else ''} at {ends}",
+            f"readings from {low:.4g} to {high:.4g}; jumps by {full} from one cycle to the next, the first "
+            f"before cycle {int(case.cycles.sync[at[0]])}",
+            remedies.wraps(case.arm, kind, i, turn),
+        )
+
+
+def _wraps(case: Case, kind: Kind, i: int, ranges: list[tuple[int, int]]) -> tuple[_Turn, list[int]] | None:
+    """The turn after which an angle starts again, and the positions after the jumps; None for an angle that
+    does not wrap.
+
+    A jump goes from one end of the readings to the other, and without it the angle moves on as before.
+    """
+    readings = case.readings(kind, i)
+    at = np.concatenate([np.arange(a + 1, b) for a, b in ranges] or [np.zeros(0, dtype=np.int64)])
+    if len(at) < 3:
+        return None
+    step = readings[at] - readings[at - 1]
+    whole = float(np.ptp(readings[np.concatenate([np.arange(a, b) for a, b in ranges])]))
+    jumps = np.abs(step) > 0.5 * whole
+    if not jumps.any() or jumps.mean() > 0.5:
+        return None
+    usual = max(float(np.abs(step[~jumps]).max()), case.encoder(kind, i).quantum_rad)
+    size = float(np.median(np.abs(step[jumps])))
+    ratio = float(case.arm.joints[i].gear_ratio)
+    turns: list[_Turn] = [
+        (2.0 * math.pi, "π", "2π"),
+        (32.0 * math.pi, "16π", "32π"),
+        *((turn, f"{turn / 2.0:g} {unit}", f"{turn:g} {unit}") for turn, unit in ((360.0, "deg"), (1.0, "turn"))),
+    ]
+    if kind == "theta" and ratio != 1.0:
+        turns.append((2.0 * math.pi / ratio, f"{math.pi / ratio:.4g}", f"{2.0 * math.pi / ratio:.4g}"))
+    counts = {case.encoder(kind, i).counts, *(2**k for k in range(8, 33))} - {None}
+    turns += [(float(n), f"{n / 2.0:g} counts", f"{n} counts") for n in counts if n is not None]
+    turn = min(turns, key=lambda one: abs(math.log(one[0] / size)))
+    on = abs(np.abs(step[jumps]) - turn[0]) <= 2.0 * usual
+    if 4.0 * usual > turn[0] or not on.all():
+        return None
+    return turn, at[jumps].tolist()
+
+
+def check_units(case: Case) -> None:
+    """Report angles whose steps are the declared ones in another unit, and go on with the run in radians."""
+    ranges = stretches(case.cycles)
+    for _, kind, i in case.names:
+        if kind not in ("q", "theta"):
+            continue
+        quantum = case.encoder(kind, i).quantum_rad
+        readings = case.readings(kind, i)
+        largest = max((float(np.abs(readings[a:b]).max()) for a, b in ranges), default=0.0)
+        if largest > LARGEST_ANGLE_RAD:
+            evidence = f"readings up to {largest:.4g}, which are no angles in rad"
+            find_scale(case, kind, i, Scale(quantum, "counts"), evidence)
+            case.correct(rescaled(case.cycles, kind, [i], quantum))
+            continue
+        step = grid_step(readings, ranges, 0.0)
+        if not math.isfinite(step) or abs(step / quantum - 1.0) <= limits.STEP_OFF.value:
+            continue
+        known = [one for one in scales(case.arm, kind, i) if one.unit not in ("", "turn")]
+        scale = nearest(known, quantum / step)
+        if scale is not None:
+            evidence = f"moves in steps of {step:.4g}, which are the declared {quantum:.4g} rad in {scale.unit}"
+            find_scale(case, kind, i, scale, evidence)
+            case.correct(rescaled(case.cycles, kind, [i], scale.factor))
