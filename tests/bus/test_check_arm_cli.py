@@ -204,6 +204,24 @@ def test_a_measured_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "latch_us" in capsys.readouterr().out
 
 
+def test_swapped_arguments_are_said_to_be_swapped(
+    tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = logged(tmp_path / "run.blf", arm, cycles)
+    assert run("check-arm", log, ARM) == 2
+    said = capsys.readouterr().err
+    assert (
+        "run.blf is a run, in the place of the arm file: the two are swapped; remedy: `zygos check-arm ARM.toml RUN`"
+        in said
+    )
+    for command in (("estimate", ARM, "-o", tmp_path / "m.toml"), ("predict", ARM, "--model", EXAMPLE / "model.toml")):
+        assert run(*command) == 2
+        assert "arm.toml is an arm file or a model, in the place of a run" in capsys.readouterr().err
+    assert run("estimate", log, "--arm", log, "-o", tmp_path / "m.toml") == 2
+    assert "`zygos estimate RUN... --arm ARM.toml`" in capsys.readouterr().err
+    assert not (tmp_path / "m.toml").exists()
+
+
 def test_other_bad_input_is_refused(
     tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -158,6 +158,32 @@ def test_a_longer_run_is_advised_where_its_length_was_seen_to_help(lever: Arm) -
     assert remedy(few, watch.flight) == "a longer run: 2 instants were accepted, 3 are needed"
 
 
+def test_one_cause_has_one_remedy(lever: Arm) -> None:
+    """Where the bandwidth test refuses instants already, neither a faster motion nor a longer window helps against
+    noise."""
+    found, watch = learned(lever, swung(lever, (3.0, 0.0, 20_000)))
+    quiet = replace(found, reason=REASONS[lib.ZYGOS_REASON_NOISE], accepted=2_379, refused=0)
+    assert remedy(quiet, watch.flight).startswith("a longer window of the smoother")
+    said = remedy(replace(quiet, refused=112), watch.flight)
+    assert said.startswith("a higher SYNC rate") and "larger or faster motion of every joint" not in said
+    for code in (lib.ZYGOS_REASON_NOISE, lib.ZYGOS_REASON_NOT_IDENTIFIABLE, lib.ZYGOS_REASON_TOO_FAST):
+        said = remedy(replace(quiet, reason=REASONS[code], accepted=1_629, refused=860), watch.flight)
+        assert said.endswith("a slower motion: 860 of 2,489 instants failed the bandwidth test")
+
+
+def test_a_longer_window_helps_against_noise(lever: Arm) -> None:
+    """What is proposed is carried out: with 31 points in place of 7, the motion stands out of coarse encoders."""
+    coarse = Encoder(0.016)
+    rough = replace(lever, joints=(replace(lever.joints[0], link_encoder=coarse, motor_encoder=coarse),),
+                    joint_increment_s=0.0)  # fmt: skip
+    run = swung(rough, (3.0, 0.0, 20_000))
+    before, watch = learned(rough, run)
+    assert before.validity == "refused" and before.signal_to_noise < 2.0
+    assert remedy(before, watch.flight).startswith("a longer window of the smoother ([smoother] points")
+    after, _ = learned(replace(rough, smoother=Smoother(31, 4, 15)), run)
+    assert after.validity == "valid" and after.signal_to_noise > 2.0 * before.signal_to_noise
+
+
 # ------------------------------------------------------------------------------------------ no frames at all
 
 
@@ -355,8 +381,10 @@ def test_noise_of_a_torque_is_tested_as_that_of_an_encoder() -> None:
     arm, cycles = pendulum("02")
     declared = [replace(joint, torque_sigma=0.0) for joint in arm.joints]
     found = audit(replace(arm, joints=tuple(declared)), cycles)
-    assert accused(found) == dict.fromkeys(("joint 1 torque", "joint 2 torque"), "noisy, and no noise is declared")
-    sigma = float(re.search(r"torque_sigma = ([\d.e-]+)", found.findings[0].remedy)[1])  # type: ignore[index]
+    # noise that nobody declared is said, and is no fault
+    assert found.ok
+    assert [text.partition(":")[0] for text in found.remarks][-2:] == ["joint 1 torque", "joint 2 torque"]
+    sigma = float(re.search(r"torque_sigma = ([\d.e-]+)", found.remarks[-1])[1])  # type: ignore[index]
     assert 1e-4 < sigma < 1e-3
     few = [replace(joint, torque_sigma=1e-5) for joint in arm.joints]
     assert all(

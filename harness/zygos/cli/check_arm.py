@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from zygos.arm import load_arm
 from zygos.audit.check import check_arm
 from zygos.audit.sections import advice, answer_of, summary
-from zygos.cli.options import Details, Json, Report, Run, cuts
+from zygos.cli.options import ArmArgument, Details, Json, Report, Run, cuts
 from zygos.cli.shared import Wanted, deliver, not_whole, origin, read_run
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs
@@ -42,7 +41,7 @@ def check_arm_run(arm_file: Path, run: Path, wanted: Wanted, command: Sequence[s
 @cuts
 def command(
     context: typer.Context,
-    arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
+    arm: ArmArgument,
     run: Run,
     json: Json = None,
     report: Report = None,
@@ -50,12 +49,12 @@ def command(
 ) -> None:
     """Check a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
 
-    Reports signals that are swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the
-    two encoders of a joint, zeros that are off, a wrong torque law, and a smoother that flattens the motion, each with
-    the evidence in numbers and the remedy. No model is needed. The page of --report has all of it, with charts of the
-    readings.
+    Reports signals that wrap, that are in another unit, late, swapped, inverted, scaled, stuck, saturated or noisy, two
+    encoders of a joint that are read at different times, zeros that are off, a wrong torque law, and a smoother that
+    flattens the motion, each with the evidence in numbers, and with the key of the arm file or of the map of `zygos
+    convert` that removes it. No model is needed. The page of --report has all of it, with charts of the readings.
 
-    Exit code 3 when something is found, or the run does not confirm every signal.
+    Exit code 3 when something is found, or the run does not confirm every signal. What else is open is listed.
 
     Example: zygos check-arm out/arm.toml out/run.blf
     """

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from zygos.arm import load_arm
-from zygos.cli.options import Json
+from zygos.cli.options import ArmArgument, Json
 from zygos.files.names import printable
 from zygos.files.output import check_outputs, counted, say, table, write_json, write_text
 from zygos.model.model import load_model
@@ -76,7 +76,7 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
 
 
 def command(
-    arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
+    arm: ArmArgument,
     out: Annotated[
         Path,
         typer.Option("-o", "--out", metavar="FOLDER", help="The folder where arm_config.h and arm.zyg are written."),

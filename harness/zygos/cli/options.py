@@ -10,6 +10,9 @@ from typing import Annotated, Any, TypeVar, cast
 
 import typer
 
+from zygos.can.bus import LOG_SUFFIXES
+from zygos.errors import ZygosError
+from zygos.files.tables import TABLE_SUFFIXES
 from zygos.runs.span import reading
 
 Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Also write the result as JSON to this file.")]
@@ -18,13 +21,43 @@ Report = Annotated[
     typer.Option("--report", metavar="FILE.html", help="Also write a report, one HTML page."),
 ]
 Details = Annotated[bool, typer.Option("--details", help="Print all tables, not only the verdict.")]
+
+
+def _usage(context: typer.Context) -> str:
+    """The command with what it takes, in order."""
+    names = [str(one.metavar) for one in context.command.params if one.param_type_name == "argument"]
+    names += [] if "ARM.toml" in names else ["--arm ARM.toml"]
+    return f"`zygos {' '.join([str(context.info_name), *names])}`"
+
+
+def _arm(context: typer.Context, path: Path | None) -> Path | None:
+    """Refuse a run in the place of the arm file."""
+    if path is not None and path.name.lower().removesuffix(".gz").endswith((*LOG_SUFFIXES, *TABLE_SUFFIXES)):
+        raise ZygosError(
+            f"{path} is a run, in the place of the arm file: the two are swapped; remedy: {_usage(context)}"
+        )
+    return path
+
+
+def _runs(context: typer.Context, runs: Any) -> Any:
+    """Refuse an arm file in the place of a run."""
+    for path in runs if isinstance(runs, list) else [runs]:
+        if path.suffix.lower() == ".toml":
+            raise ZygosError(f"{path} is an arm file or a model, in the place of a run; remedy: {_usage(context)}")
+    return runs
+
+
 ArmFile = Annotated[
-    Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the run.")
+    Path | None,
+    typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the run.", callback=_arm),
 ]
+ArmArgument = Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.", callback=_arm)]
 Run = Annotated[
     Path,
     typer.Argument(
-        metavar="RUN", help="A CAN log (.log .blf .asc .trc .mf4), or a table of cycles (.npz .csv .parquet)."
+        metavar="RUN",
+        help="A CAN log (.log .blf .asc .trc .mf4), or a table of cycles (.npz .csv .parquet).",
+        callback=_runs,
     ),
 ]
 Interface = Annotated[
@@ -70,6 +103,8 @@ def cuts(command: Command) -> Command:
 Runs = Annotated[
     list[Path],
     typer.Argument(
-        metavar="RUN...", help="CAN logs (.log .blf .asc .trc .mf4), or tables of cycles (.npz .csv .parquet)."
+        metavar="RUN...",
+        help="CAN logs (.log .blf .asc .trc .mf4), or tables of cycles (.npz .csv .parquet).",
+        callback=_runs,
     ),
 ]

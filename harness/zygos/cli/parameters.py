@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from zygos.arm import Arm, load_arm
-from zygos.cli.options import Json
+from zygos.cli.options import ArmArgument, Json
 from zygos.files.output import check_outputs, counted, quiet, say, table, write_json
 
 
@@ -60,7 +58,7 @@ def _report(arm: Arm, grouped: list[str], unseen: list[str]) -> dict[str, Any]:
 
 
 def command(
-    arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
+    arm: ArmArgument,
     json: Json = None,
 ) -> None:
     """List the base parameters of an arm, and what each of them stands for.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.progress import Progress, TaskID
 
 from zygos.arm import Arm, load_arm
-from zygos.cli.options import Details, Json, Report
+from zygos.cli.options import ArmArgument, Details, Json, Report
 from zygos.cli.shared import Wanted, check_model_name, deliver
 from zygos.errors import ZygosError
 from zygos.files.output import check_outputs
@@ -94,7 +94,7 @@ def _torque_sigma(arm: Arm, given: str | None) -> NDArray[np.float64]:
 
 def command(
     context: typer.Context,
-    arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
+    arm: ArmArgument,
     model: Annotated[Path, typer.Option("--model", metavar="MODEL.toml", help="The model that is assumed.")],
     scenarios: Annotated[
         list[Path] | None,

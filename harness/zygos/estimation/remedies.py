@@ -18,6 +18,9 @@ NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "tim
 """Fault counters that do not count rejected frames."""
 MANY_DROPPED = 0.02
 """Share of dropped cycles above which the loss is reported before any other cause."""
+MOST_REFUSED, REFUSED_SEEN = 0.05, 0.02
+"""Share of the instants that fail the bandwidth test above which the motion is too fast, as in the C library, and above
+which a faster motion or a longer window of the smoother would make it so."""
 LEAST_BLOCKS, INSTANTS_PER_PARAMETER = 8, 3
 """Minimum numbers of blocks and of instants per parameter for a solution, as in the C library."""
 (
@@ -78,6 +81,11 @@ def remedy(result: Estimate, flight: Flight, known: Sequence[Known] = ()) -> str
         return of_the_bus
     if result.reason == NO_DATA:
         return _more(result, flight)
+    if result.reason in (NOISE, NOT_IDENTIFIABLE, TOO_FAST) and _refused(result) > MOST_REFUSED:
+        return _too_fast(result)
+    buried = result.rank == len(result.names) and result.signal_to_noise < MIN_SIGNAL_TO_NOISE
+    if result.reason == NOISE or (result.reason == NOT_IDENTIFIABLE and buried):
+        return _noise(result)
     if result.reason == NOT_PHYSICAL:
         return _unphysical(result, flight)
     return _FIXED.get(result.reason) or _motion(result, flight, known)
@@ -98,17 +106,14 @@ def _gains(result: Estimate, arm: Arm) -> str:
     return "; ".join(listed)
 
 
-_CHECK = "check signs, gear ratios, zeros and the torque_law of the arm file (`zygos check-arm`)"
+_CHECK = "check units, signs, delays, gear ratios and zeros with `zygos check-arm`"
 _CLOSE = (
     f"{_CHECK}; friction, cubic springs and torque lag are part of the balance only if --model names them, noise of "
     "the torques and torques on the base are never part of it"
 )
 _FIXED = {
-    TOO_FAST: "a higher SYNC rate, a shorter smoother window, or a slower motion",
     UNCLOSED: _CLOSE,
     UNEXPLAINED: _CLOSE,
-    NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); more of "
-    "the same motion does not change that ratio",
     GAIN_DIFFERS: "calibrate that torque sensor, or correct its scale or gear_ratio; if its gain is that uncertain, "
     "declare it (torque_gain_sigma in the arm file); if it is exact, the model lacks an effect that looks like it",
     DECLARED: "state the sensors of the arm file as they are: counts or quantum_rad, rate_sigma",
@@ -141,6 +146,33 @@ def _bus(flight: Flight) -> str:
     return "; ".join(found)
 
 
+def _refused(result: Estimate) -> float:
+    """Share of the instants that fail the bandwidth test."""
+    return result.refused / max(result.accepted + result.refused, 1)
+
+
+def _too_fast(result: Estimate) -> str:
+    return (
+        f"a higher SYNC rate, a shorter smoother window, or a slower motion: {result.refused:,} of "
+        f"{counted(result.accepted + result.refused, 'instant')} failed the bandwidth test"
+    )
+
+
+def _noise(result: Estimate) -> str:
+    """Remedy for noise as large as the motion."""
+    declared = "sensors declared as they are (counts or quantum_rad, rate_sigma)"
+    if _refused(result) > REFUSED_SEEN:
+        return (
+            f"a higher SYNC rate with the same window in seconds, or {declared}: {result.refused:,} of "
+            f"{counted(result.accepted + result.refused, 'instant')} fail the bandwidth test already, so that neither "
+            "a faster motion nor a longer window helps"
+        )
+    return (
+        "a longer window of the smoother ([smoother] points, or a lower cutoff_hz), a larger or faster motion of every "
+        f"joint, or {declared}; more of the same motion does not change that ratio"
+    )
+
+
 def _more(result: Estimate, flight: Flight) -> str:
     """Remedy for too few instants."""
     cycles, needed = flight.counts["cycles"], INSTANTS_PER_PARAMETER * len(result.names)
@@ -151,12 +183,11 @@ def _more(result: Estimate, flight: Flight) -> str:
             "balance three more"
         )
     if result.refused > result.accepted:
-        return (
-            f"a higher SYNC rate, a shorter smoother window, or a slower motion: {result.refused:,} of "
-            f"{counted(result.accepted + result.refused, 'instant')} failed the bandwidth test"
-        )
+        return _too_fast(result)
     if result.accepted < needed:
         return f"a longer run: {counted(result.accepted, 'instant')} were accepted, {needed} are needed"
+    if _refused(result) > MOST_REFUSED:
+        return _too_fast(result)
     return (
         f"a longer run, or shorter arcs ([arc] max_s): its {counted(result.accepted, 'instant')} make "
         f"{counted(result.blocks, 'block')}, {LEAST_BLOCKS} are needed to estimate the standard deviations"

@@ -194,7 +194,7 @@ class GroundEstimate:
                 "refused",
                 f"the model predicts held-out torques worse than none would: {100 * share[worst]:.0f} % are left at "
                 f"{joints[worst].name}",
-                "check signs, zeros, gear ratios and torque_law with `zygos check-arm`",
+                "check units, signs, delays, zeros and gear ratios with `zygos check-arm`",
             )
         negative = self._impossible()
         if negative:
@@ -240,8 +240,8 @@ class GroundEstimate:
             )
         if not close:
             remedies.append(
-                "another law of friction (--friction), or the lengths of the arm file; the intervals "
-                "contain what is left, if runs are alike"
+                "`zygos check-arm`, which finds delays and wrong scales; else another law of friction (--friction), or "
+                "the lengths of the arm file; the intervals contain what is left, if runs are alike"
             )
         return ("partial", "; ".join(texts), "; ".join(remedies)) if texts else ("valid", "", "")
 
