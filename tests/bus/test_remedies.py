@@ -321,6 +321,18 @@ def test_a_smoother(tmp_path: Path, called: set[str]) -> None:
     assert checked(tmp_path / "after", document, None, cycles, arm.period_s).findings == ()
 
 
+def test_the_torque_law_of_an_arm_on_the_ground(tmp_path: Path, called: set[str]) -> None:
+    """Torques half a period older than samples would be are those of the cycle before."""
+    cycles = older("tau", range(3), 0.5)(recorded(panda(3), 0, noise=0.0).cycles)
+    arm = replace(panda(3), joints=tuple(replace(joint, torque_sigma=1.0) for joint in panda(3).joints))
+    document = document_of(tmp_path, arm)
+    found = checked(tmp_path / "before", document, None, cycles, arm.period_s)
+    assert named(found) == ["torques not sampled"] and "torque_law" in called
+    carry_out(settings_of(found), document, tomlkit.document())
+    assert document["torque_law"] == "applied_previous_cycle"
+    assert checked(tmp_path / "after", document, None, cycles, arm.period_s).findings == ()
+
+
 def test_means_have_one_torque_law(tmp_path: Path) -> None:
     """`zygos convert` declares torque_averaged, which the arm file takes with one law only; torques that are late are
     a delay then, and no other law."""
