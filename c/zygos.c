@@ -11,7 +11,7 @@
 /* Time constants of forgetting after which sums count as forgotten: 5 % are left. */
 #define FADED 3.0
 /* Cycles in which a copy waits for a pass of the patrol, whatever the capacities of the build are. */
-#define VERIFYING 48u
+#define VERIFYING 52u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
 
@@ -187,6 +187,9 @@ static bool is_begun(const zygos_t *self)
 static uint32_t stage_of(const zygos_t *self)
 {
     const uint32_t stage = __atomic_load_n(&self->stage, __ATOMIC_ACQUIRE);
+    if (stage == (uint32_t)ZYGOS_STAGE_IDLE) {
+        return stage;
+    }
     return (uint32_t)ZYGOS_STAGE_ASKED * (two_of_words(stage, stage >> 2u, stage >> 4u) & 3u);
 }
 
@@ -561,7 +564,8 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
     self->rested++;
     self->state.beside = 0;
     self->state.held = (stage == (uint32_t)ZYGOS_STAGE_ASKED) ? self->state.held : 0u; /* only a copy holds tasks */
-    if (is_set(self->refines_anew) && ((stage != (uint32_t)ZYGOS_STAGE_GIVEN) || !is_set(self->refining))) {
+    if ((self->refines_anew != 0) && is_set(self->refines_anew) &&
+        ((stage != (uint32_t)ZYGOS_STAGE_GIVEN) || !is_set(self->refining))) {
         refine_anew(self, given);
     }
     if (stage == (uint32_t)ZYGOS_STAGE_GIVEN) {

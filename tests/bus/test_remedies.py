@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import gzip
 import inspect
+import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +34,7 @@ from cli_support import run
 from panda_support import panda, recorded
 from runs_support import trajectory_of
 
-from conftest import EXAMPLE, ROOT
+from conftest import EXAMPLE, ROOT, need
 from zygos.accuracy.cases import all_cases, chosen
 from zygos.arm import Arm, Smoother, load_arm, save_arm
 from zygos.audit import Audit, audit, remedies
@@ -319,6 +321,18 @@ def test_a_smoother(tmp_path: Path, called: set[str]) -> None:
     assert checked(tmp_path / "after", document, None, cycles, arm.period_s).findings == ()
 
 
+def test_the_torque_law_of_an_arm_on_the_ground(tmp_path: Path, called: set[str]) -> None:
+    """Torques half a period older than samples would be are those of the cycle before."""
+    cycles = older("tau", range(3), 0.5)(recorded(panda(3), 0, noise=0.0).cycles)
+    arm = replace(panda(3), joints=tuple(replace(joint, torque_sigma=1.0) for joint in panda(3).joints))
+    document = document_of(tmp_path, arm)
+    found = checked(tmp_path / "before", document, None, cycles, arm.period_s)
+    assert named(found) == ["torques not sampled"] and "torque_law" in called
+    carry_out(settings_of(found), document, tomlkit.document())
+    assert document["torque_law"] == "applied_previous_cycle"
+    assert checked(tmp_path / "after", document, None, cycles, arm.period_s).findings == ()
+
+
 def test_means_have_one_torque_law(tmp_path: Path) -> None:
     """`zygos convert` declares torque_averaged, which the arm file takes with one law only; torques that are late are
     a delay then, and no other law."""
@@ -373,3 +387,38 @@ def test_keys_that_messages_of_estimates_name_are_keys_of_the_arm_file() -> None
     named_keys = set(KEYS.findall(texts_of(of_estimates) + texts_of(of_ground)))
     assert {"counts", "quantum_rad", "cutoff_hz", "memory_min", "max_s"} <= named_keys
     assert all(f"`{key}`" in known or f".{key}`" in known for key in named_keys)
+
+
+# --------------------------------------------------------------------------------------------- from end to end
+
+
+def test_torques_that_a_recording_has_20_ms_late(tmp_path: Path) -> None:
+    """The delay is measured and proposed as a key of the map, never as another torque law; with it the estimate has the
+    true values: an inertia of 0.85 kg m^2, viscous friction of 0.008 N m s/rad and Coulomb friction of 0.016 N m."""
+    cases = ROOT.parent / "shared" / "cases"
+    table = cases / "torque_20ms_late.csv.gz"
+    need(table.is_file(), f"the recording {table.name}")
+    (tmp_path / "late.csv").write_bytes(gzip.decompress(table.read_bytes()))
+    arm = (cases / "torque_late_arm.toml").read_text().replace('"planar-symmetric"', '"spatial"')
+    (tmp_path / "arm.toml").write_text(arm)
+    mapping = tomlkit.parse((cases / "torque_late_map.toml").read_text())
+    for name in ("before", "after"):
+        (tmp_path / "map.toml").write_text(tomlkit.dumps(mapping))
+        out = tmp_path / name / "run.npz"
+        out.parent.mkdir()
+        assert run("convert", tmp_path / "late.csv", "--map", tmp_path / "map.toml", "-o", out) == 0
+        found = load_run(out)
+        checked_run = audit(found.arm, found.cycles)
+        if name == "before":
+            assert found.arm.torque_averaged
+            (late_torques,) = checked_run.findings
+            (setting,) = late_torques.settings
+            assert late_torques.signal == "torques" and setting.key == "delay_s"
+            assert setting.value == pytest.approx(0.020, abs=2e-4)
+            carry_out(checked_run.findings[0].settings, tomlkit.document(), mapping)
+    assert checked_run.findings == () and run("check-arm", out.parent / "arm.toml", out) == 0
+    assert run("estimate", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    values = {one["name"]: one["value"] for one in json.loads((tmp_path / "m.json").read_text())["parameters"]}
+    assert values["Ixx1"] == pytest.approx(0.85, rel=2e-3)
+    assert values["motor_viscous1"] == pytest.approx(0.008, rel=5e-3)
+    assert values["motor_coulomb1"] == pytest.approx(0.016, rel=5e-3)

@@ -300,7 +300,7 @@ def test_what_an_arm_may_do_is_no_fault_of_a_signal(name: str, key: str) -> None
     (cycles,) = run(name, arm, 1, *FRICTION[key])
     found = audit(arm, cycles)
     assert found.findings == ()
-    assert any("viscous friction" in note for note in found.notes) == (key == "viscous")
+    assert any("viscous friction" in text for text in found.remarks) == (key == "viscous")
     assert named(audit(arm, inverted("tau", 1)(cycles))) == {T2: "inverted"}
 
 

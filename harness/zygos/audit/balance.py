@@ -107,12 +107,18 @@ class Balance:
         """rms residual as a share of the rms work; infinite if there is no estimate."""
         return self._residuals(self.arm, cycles)[1]
 
+    def closes(self, cycles: Cycles) -> bool:
+        """Whether an estimate from a run is valid, so that the balance closes without doubt."""
+        self.residual(self.arm, cycles)
+        return self._validity in ("valid", "partial")
+
     def _residuals(self, arm: Arm, cycles: Cycles) -> tuple[float, float]:
         """rms residual, J, and its share of the rms work."""
         flight = Flight(arm, self.friction)
         flight.cycles(cycles)
         estimate = flight.estimate()
-        residual, self._reason = float(estimate.residual), estimate.reason
+        residual = float(estimate.residual)
+        self._reason, self._validity = estimate.reason, estimate.validity
         if math.isfinite(residual) and residual > 0.0:
             return residual, math.sqrt(flight.unexplained(estimate))
         self.few = estimate.reason == REASONS[1]

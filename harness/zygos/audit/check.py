@@ -41,6 +41,11 @@ class ArmCheck:
         """What could not be decided, and why."""
         return self.audit.notes
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was found and is no fault."""
+        return self.audit.remarks
+
     def as_dict(self) -> dict[str, Any]:
         """The result in numbers, texts, lists and dictionaries, as `zygos check-arm --json` writes it."""
         return {"arm": self.run.arm.name, "ok": self.ok, "faults": self.run.faults, **as_json(self.audit)}

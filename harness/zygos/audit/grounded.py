@@ -10,9 +10,11 @@ from functools import cache
 import numpy as np
 
 from zygos import limits
+from zygos.arm import TorqueLaw
 from zygos.audit import remedies
 from zygos.audit.case import Case
 from zygos.audit.delays import Delay, Group, find_delay, groups, shifted
+from zygos.audit.means import TORQUE_LATE
 from zygos.audit.rigid import Reading, RigidLaw, with_angles
 from zygos.audit.units import FACTORS, Scale, find_scale, find_torque_scale, nearest, scales
 from zygos.audit.whole import find_late
@@ -168,10 +170,26 @@ def _delay(case: Case, law: RigidLaw, kept: Reading, use: list[int], broken: set
 
 def _correct_delay(case: Case, law: RigidLaw, late: Delay, broken: set[int]) -> RigidLaw:
     """Report a delay; returns the law without it."""
-    find_late(case, late, "the law of the whole arm explains the torques")
+    law_of_delay = _torque_law(case, late)
+    if law_of_delay is None:
+        find_late(case, late, "the law of the whole arm explains the torques")
+    else:
+        evidence = f"the law of the whole arm explains the torques {late.ratio:.3g} times better"
+        case.find("torques", f"not {case.arm.torque_law}", evidence, remedies.torque_law(law_of_delay))
     cycles = shifted(case.cycles, late.group, late.periods)
     case.correct(cycles)
     return RigidLaw(case.arm, cycles, broken)
+
+
+def _torque_law(case: Case, late: Delay) -> TorqueLaw | None:
+    """The torque law under which torques are not late; None where there is none."""
+    arm = case.arm
+    if arm.torque_averaged or len(late.group.columns) < arm.n:
+        return None
+    acts = TORQUE_LATE[arm.torque_law] - late.periods
+    law = min(TORQUE_LATE, key=lambda one: abs(TORQUE_LATE[one] - acts))
+    near = abs(TORQUE_LATE[law] - acts) <= max(limits.SKEW_Z.value * late.sigma, limits.SKEW.value)
+    return law if near and law != arm.torque_law else None
 
 
 def _confirm(case: Case, law: RigidLaw, kept: Reading, use: list[int]) -> None:

@@ -10,7 +10,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from zygos import limits
-from zygos.arm import Arm, Encoder
+from zygos.arm import Arm, Encoder, TorqueLaw
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import segments
 
@@ -69,7 +69,7 @@ def calibrated(arm: Arm, cycles: Cycles) -> tuple[Array, Array]:
     return links, motors
 
 
-_TORQUE_LATE = {"applied_from_sync": 0.5, "applied_previous_cycle": -0.5, "sampled": 0.0}
+TORQUE_LATE: dict[TorqueLaw, float] = {"applied_from_sync": 0.5, "applied_previous_cycle": -0.5, "sampled": 0.0}
 """Middle of the time for which a torque record is valid, in periods after SYNC."""
 
 
@@ -87,7 +87,7 @@ class Means:
             (1e-6 * (j.latch_us + j.link_encoder.latch_us), 1e-6 * (j.latch_us + j.motor_encoder.latch_us))
             for j in arm.joints
         ]
-        torque_late = _TORQUE_LATE[arm.torque_law] * arm.period_s
+        torque_late = TORQUE_LATE[arm.torque_law] * arm.period_s
         self.q = [[window(q[:, i], d, late[i][0]) for d in range(3)] for i in range(arm.n)]
         self.theta = [[window(theta[:, i], d, late[i][1]) for d in range(3)] for i in range(arm.n)]
         self.tau = [[window(cycles.tau[:, i], d, torque_late) for d in range(2)] for i in range(arm.n)]

@@ -53,9 +53,9 @@ def make_balance(case: Case, broken: set[int]) -> Balance | None:
         return balance
     few, reason = balance.few, balance.reason
     for found in _units(case, balance):
-        # where there is no balance, one that closes well is clear by itself
-        share = balance.share(found.cycles) if math.isfinite(found.left) else math.inf
-        if share <= limits.AUDIT_CLOSES.value:
+        # where there is no balance, one that closes without doubt is clear by itself
+        if math.isfinite(found.left) and balance.closes(found.cycles):
+            share = balance.share(found.cycles)
             found.report(f"the energy balance leaves {100 * share:.2g} % of the work, and without it there is none")
             case.correct(found.cycles)
             return Balance(case.arm, found.cycles)

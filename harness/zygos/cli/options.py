@@ -32,7 +32,7 @@ def _usage(context: typer.Context) -> str:
 
 def _arm(context: typer.Context, path: Path | None) -> Path | None:
     """Refuse a run in the place of the arm file."""
-    if path is not None and path.suffix.lower() in (*LOG_SUFFIXES, *TABLE_SUFFIXES):
+    if path is not None and path.name.lower().removesuffix(".gz").endswith((*LOG_SUFFIXES, *TABLE_SUFFIXES)):
         raise ZygosError(
             f"{path} is a run, in the place of the arm file: the two are swapped; remedy: {_usage(context)}"
         )
