@@ -11,7 +11,7 @@
 /* Time constants of forgetting after which sums count as forgotten: 5 % are left. */
 #define FADED 3.0
 /* Cycles in which a copy waits for a pass of the patrol, whatever the capacities of the build are. */
-#define VERIFYING 52u
+#define VERIFYING 32u
 /* So often in a row sums may be found corrupt that zygos_arm_scrub() finds nothing wrong with. */
 #define CORRUPT 2u
 

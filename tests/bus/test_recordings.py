@@ -102,8 +102,8 @@ def test_names_of_compressed_files(brief: Log, arm: Arm, tmp_path: Path) -> None
     bus.write_log(tmp_path / "run.log", brief[:100], arm.period_s)
     plain = (tmp_path / "run.log").rename(tmp_path / "run.log.gz")
     assert len(bus.read_log(plain).frames) == 100
-    for path, said in ((tmp_path / "none.log.gz", "no such file"), (tmp_path, "a folder")):
-        with pytest.raises(ZygosError, match=f"{path}: {said}; remedy: give a CAN log"):
+    for path, said in ((tmp_path / "none.log.gz", "no such file"), (tmp_path, "is a folder")):
+        with pytest.raises(ZygosError, match=f"{path}: {said}; remedy: give a"):
             bus.read_log(path)
 
 

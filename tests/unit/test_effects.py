@@ -552,6 +552,7 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
         row.column[0:count] = column.tolist()
         row.work = float(done)
         lib.zygos_accumulator_add(sums, row, 1.0)
+    work.sums.checksum = lib.zygos_sums_checksum(ffi.addressof(work, "sums"))
     lib.zygos_work_solve(work, out)
     return out
 

@@ -65,7 +65,7 @@ def test_a_refusal_has_its_reason_and_no_values(tmp_path: Path) -> None:
     write_page(tmp_path / "page.html", estimate_answer(refused, written="no model written", draw=True), NOWHERE)
     text = (tmp_path / "page.html").read_text()
     assert "worse than none would" in text
-    assert "<b>Remedy:</b> check signs" in text
+    assert "<b>Remedy:</b> check units, signs" in text
     assert "There are no values." in text
     assert _data(text)["charts"] == {}
 
