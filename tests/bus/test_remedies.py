@@ -235,6 +235,17 @@ def named(found: Audit) -> list[str]:
     return [f"{one.signal} {one.fault}" for one in found.findings]
 
 
+@pytest.mark.slow(
+    but=[
+        "wraps *",
+        "unit in deg/s*",
+        "delay late by0",
+        "inverted inverted1",
+        "noisy_angle *",
+        "torque_law *",
+        "swapped *",
+    ]
+)
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.remedy} {case.finding}" for case in CASES])
 def test_the_keys_remove_the_finding(
     case: Case, noisy: Trajectory, arm: Arm, tmp_path: Path, called: set[str], capsys: pytest.CaptureFixture[str]
@@ -277,6 +288,7 @@ def test_the_period_and_the_nodes_on_the_bus(noisy: Trajectory, arm: Arm, tmp_pa
         assert found.findings == (), named(found)
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_torque(tmp_path: Path, called: set[str]) -> None:
     cycles = recorded(panda(3), 6, noise=0.01).cycles
     arm = panda(3)
@@ -333,6 +345,7 @@ def test_the_torque_law_of_an_arm_on_the_ground(tmp_path: Path, called: set[str]
     assert checked(tmp_path / "after", document, None, cycles, arm.period_s).findings == ()
 
 
+@pytest.mark.slow
 def test_means_have_one_torque_law(tmp_path: Path) -> None:
     """`zygos convert` declares torque_averaged, which the arm file takes with one law only; torques that are late are
     a delay then, and no other law."""

@@ -182,8 +182,7 @@ FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
 
 QUICK_FAULTS = (
     "lively-two at once", "b-elbow *inverted", "b-shoulder link angle stuck?", "b-elbow torque dead", "b-gyro z *ed",
-    "b-shoulder link angle clipped", "b-links swapped", "b-torques swapped", "b-joints swapped",
-    "b-encoders of joint 1", "b-gyro axes", "b-*turned",
+    "b-shoulder link angle clipped", "b-links swapped", "b-torques swapped", "b-encoders of joint 1", "b-*turned",
 )  # fmt: skip
 
 

@@ -76,7 +76,7 @@ def cases() -> Iterator[tuple[int, str, Fault, dict[str, str]]]:
 CASES = list(cases())
 
 
-@pytest.mark.slow(but=["3 inverted 1", "3 two"])
+@pytest.mark.slow(but=["3 two"])
 @pytest.mark.parametrize(
     ("joints", "fault", "expected"), [(n, *case) for n, _, *case in CASES], ids=[f"{n} {name}" for n, name, *_ in CASES]
 )
@@ -116,6 +116,7 @@ def test_the_scales_of_currents_are_no_fault(joints: int, fault: Fault, expected
     assert faults(audited(currents, unit="A")) == expected
 
 
+@pytest.mark.slow
 def test_the_noise_of_torques_is_compared_with_the_declared_one() -> None:
     cycles, sigma = run(THREE, 6)
     assert faults(audited(cycles, sigma)) == {}
