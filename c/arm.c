@@ -180,7 +180,7 @@ static uint32_t least(uint32_t a, uint32_t b)
 
 /* Continues a fold of counts. The factor is odd, so that a flipped bit always changes the product, and in a way that
    none of another count makes good. */
-static inline uint32_t mixed(uint32_t fold, uint32_t count)
+static inline uint32_t with_count(uint32_t fold, uint32_t count)
 {
     return (((fold << 16u) | (fold >> 16u)) ^ count) * 0x9E3779B1u;
 }
@@ -189,26 +189,26 @@ static inline uint32_t mixed(uint32_t fold, uint32_t count)
 static uint32_t further_places_of(const zygos_arm_t *self, uint32_t counts)
 {
     const zygos_config_t *config = &self->sums.config;
-    uint32_t fold = mixed(mixed(mixed(counts, config->effects), config->reductions), config->reduced);
-    fold =
-        mixed(mixed(mixed(fold, self->sums.column_map.reduced), config->momentum_arc_cycles), config->joint_row_cycles);
+    uint32_t fold = with_count(with_count(with_count(counts, config->effects), config->reductions), config->reduced);
+    fold = with_count(with_count(with_count(fold, self->sums.column_map.reduced), config->momentum_arc_cycles),
+                      config->joint_row_cycles);
     if (config->momentum_arc_cycles > 0) {
         const zygos_momentum_sums_t *sums = &self->sums.momentum;
-        fold = mixed(mixed(mixed(fold, sums->columns), sums->components), sums->signals);
+        fold = with_count(with_count(with_count(fold, sums->columns), sums->components), sums->signals);
     }
     if (config->joint_row_cycles > 0) {
         const zygos_joint_sums_t *sums = &self->sums.joints;
-        fold = mixed(mixed(mixed(fold, config->base), config->kinetic), sums->width);
-        fold = mixed(mixed(mixed(fold, sums->increments), sums->slice), sums->share);
+        fold = with_count(with_count(with_count(fold, config->base), config->kinetic), sums->width);
+        fold = with_count(with_count(with_count(fold, sums->increments), sums->slice), sums->share);
     }
     for (uint32_t e = 0; e < least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
-        fold = mixed(mixed(fold, config->effect[e].kind), config->effect[e].joint);
+        fold = with_count(with_count(fold, config->effect[e].kind), config->effect[e].joint);
         for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-            fold = mixed(fold, self->sums.motors.column_map.effect[i][e]);
+            fold = with_count(fold, self->sums.motors.column_map.effect[i][e]);
         }
     }
     for (uint32_t k = 0; k < least(config->reductions, (uint32_t)ZYGOS_MAX_REDUCTION); k++) {
-        fold = mixed(mixed(fold, config->reduction[k].column), config->reduction[k].parameter);
+        fold = with_count(with_count(fold, config->reduction[k].column), config->reduction[k].parameter);
     }
     return fold;
 }
@@ -220,11 +220,14 @@ static inline uint32_t places_of(const zygos_arm_t *self)
     const zygos_column_map_t *map = &self->sums.column_map;
     const uint32_t further =
         config->momentum_arc_cycles | config->joint_row_cycles | config->effects | config->reductions;
-    uint32_t fold = mixed(mixed(mixed(config->joints, config->torque_law), config->smoother_half_width), map->kinetic);
-    fold = mixed(mixed(mixed(mixed(fold, map->body), map->effects), map->count), map->parameters);
-    fold = mixed(mixed(mixed(fold, self->smoother.joints), self->smoother.window), self->sums.energy.width);
+    uint32_t fold = with_count(with_count(with_count(config->joints, config->torque_law), config->smoother_half_width),
+                               map->kinetic);
+    fold = with_count(with_count(with_count(with_count(fold, map->body), map->effects), map->count), map->parameters);
+    fold =
+        with_count(with_count(with_count(fold, self->smoother.joints), self->smoother.window), self->sums.energy.width);
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-        fold = mixed(mixed(mixed(fold, map->joint[i]), map->rotor[i]), self->sums.motors.column_map.count[i]);
+        fold = with_count(with_count(with_count(fold, map->joint[i]), map->rotor[i]),
+                          self->sums.motors.column_map.count[i]);
     }
     return (further != 0) ? further_places_of(self, fold) : fold;
 }

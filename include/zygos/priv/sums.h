@@ -137,22 +137,22 @@ bool zygos_sums_end_copy(zygos_sums_t *self);
 /// not valid, or not newer than since. After the running solution was given up, an estimate that is doubtful only
 /// because of ZYGOS_REASON_CHANGED is adopted as well. Cost: one pass over the sums of the motor and momentum rows, and
 /// two over the covariance; where sums are dropped, the others are moved once.
-bool zygos_guard_adopt(zygos_sums_t *self, const zygos_estimate_t *estimate);
+bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate);
 
 /// Proceeds with the task of the sums of a kind of rows (enum zygos_rows): with the comparison of the closing arc, if
 /// it is its turn. An arc that contradicts the running solution is left out. Returns whether there was a task; of
 /// energy rows also, where one may have begun. Cost: a part of a pass over a block; for the first block, also one over
 /// the running solution.
-void zygos_guard_proceed(zygos_sums_t *self, uint32_t kind);
+void zygos_guard_proceed(zygos_sums_t *sums, uint32_t kind);
 
 /// Finishes the tasks of the sums of a kind of rows. Cost: a few passes over the sums of an arc.
-void zygos_guard_settle(zygos_sums_t *self, uint32_t kind);
+void zygos_guard_settle(zygos_sums_t *sums, uint32_t kind);
 
 /// Ends the segment of joint rows that is filled, if it has rows: it is added to the sums, or set aside where it
 /// contradicts the running solution (zygos_joint_sums_set_aside()). Cost: where joint rows alone determine the
 /// estimate, two passes over the sums of the segment and one over the running solution; otherwise those of the checksum
 /// of the sums.
-void zygos_guard_end_joints(zygos_sums_t *self);
+void zygos_guard_end_joints(zygos_sums_t *all);
 
 #ifdef __cplusplus
 }
