@@ -21,6 +21,9 @@ REFINEMENT = {"attach", "refine", "refiner", "propagation"}
 LIBRARY = "library"
 """The stage of all of them together."""
 
+SUMS = ("store", "sums")
+"""Files with what the sums of several kinds of rows have in common: of the room in which rows are added to sums."""
+
 
 @dataclass(frozen=True)
 class Footprint:
@@ -68,7 +71,7 @@ def footprints(target: str, folder: Path, capacities: tuple[str, ...]) -> dict[s
     code_of = dict.fromkeys(ROOMS, 0)
     stack_of = dict.fromkeys(ROOMS, 0)
     for size, name, file in re.findall(r"^\S+ ([0-9a-f]+) [TtRr] (\S+)\t.*?([a-z]+)\.c:\d+$", listing, re.M):
-        room = FOLDED.get(file, file)
+        room = FOLDED.get(file, "accumulator" if file in SUMS else file)
         if room in code_of:
             code_of[room] += int(size, 16)
             stack_of[room] = max(stack_of[room], calls.depth(name) if name in calls.calls else 0)
