@@ -226,8 +226,9 @@ static void end_of(const zygos_joint_newest_t *newest, const zygos_config_t *con
     momentum_of(newest, config, column_map, j, out->momentum);
     out->deflection = newest->state.theta[j] - newest->state.q[j];
     out->impulse = rigid ? config->joint[j].gear_ratio * zygos_effects_jump(config) * newest->jump[j] : 0.0;
-    for (uint32_t e = 0; e < config->effects; e++) {
-        out->effect[e] = (config->effect[e].joint == j) ? effect_at_end(newest, config, e) : 0.0;
+    for (uint32_t e = 0; e < (uint32_t)ZYGOS_EFFECT_PLACES; e++) { /* unused ones are no remains of the stack */
+        const bool own = (e < config->effects) && (config->effect[e].joint == j);
+        out->effect[e] = own ? effect_at_end(newest, config, e) : 0.0;
     }
 }
 
