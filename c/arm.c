@@ -232,11 +232,6 @@ static inline uint32_t places_of(const zygos_arm_t *self)
     return (further != 0) ? further_places_of(self, fold) : fold;
 }
 
-/* From the first to the last of these members of a struct, with what lies between. */
-#define FOLDED(fold, whole, type, first, last)                                                                         \
-    zygos_fold_words(fold, (const unsigned char *)(whole) + offsetof(type, first),                                     \
-                     offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first))
-
 /* Of the places, counts and integrals that one cycle leaves to the next. A bit that flips there would spoil the rest of
    an arc. */
 static uint64_t moving_of(const zygos_arm_t *self)
@@ -256,21 +251,21 @@ static uint64_t moving_of(const zygos_arm_t *self)
         counts = zygos_folded_count(zygos_folded_count(counts, self->momentum.instants), self->momentum.origin);
         counts = zygos_folded_count(counts, self->sums.momentum.store.cycles);
     }
-    uint64_t fold = FOLDED(counts, balance, zygos_balance_t, work, dissipation_rate);
-    fold = FOLDED(fold, &self->previous, zygos_previous_cycle_t, reported, theta);
-    fold = FOLDED(fold, &self->sums.energy, zygos_accumulator_t, length, segment);
+    uint64_t fold = ZYGOS_FOLDED(counts, balance, zygos_balance_t, work, dissipation_rate);
+    fold = ZYGOS_FOLDED(fold, &self->previous, zygos_previous_cycle_t, reported, theta);
+    fold = ZYGOS_FOLDED(fold, &self->sums.energy, zygos_accumulator_t, length, segment);
     if (config->impulse_arc_cycles > 0) {
-        fold = FOLDED(fold, impulse, zygos_impulse_t, impulse, past);
+        fold = ZYGOS_FOLDED(fold, impulse, zygos_impulse_t, impulse, past);
     }
     if ((ZYGOS_MOMENTUM != 0) && (config->momentum_arc_cycles > 0)) {
-        fold = FOLDED(fold, &self->momentum, zygos_momentum_t, attitude, past);
+        fold = ZYGOS_FOLDED(fold, &self->momentum, zygos_momentum_t, attitude, past);
     }
     if (config->joint_row_cycles > 0) {
-        fold = FOLDED(fold, &self->joint, zygos_joint_t, position, reserved);
+        fold = ZYGOS_FOLDED(fold, &self->joint, zygos_joint_t, position, reserved);
     }
     if (config->effects > 0) {
-        fold = FOLDED(fold, &balance->effects, zygos_effects_t, total, past);
-        fold = FOLDED(fold, impulse, zygos_impulse_t, total, before);
+        fold = ZYGOS_FOLDED(fold, &balance->effects, zygos_effects_t, total, past);
+        fold = ZYGOS_FOLDED(fold, impulse, zygos_impulse_t, total, before);
     }
     if (config->forgetting_factor < 1.0) {
         fold = zygos_fold_words(fold, self->sums.forgetting, sizeof self->sums.forgetting);

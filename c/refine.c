@@ -68,13 +68,6 @@ static bool is_finite(double x)
    What is computed for one use of readings is verified when it has been used. A seal that changes with a part of what
    it is of keeps what was wrong before. */
 
-/* Continues a fold with the members of a struct from the first to the last of these, with what lies between: whole
-   words, or it does not compile. */
-#define BETWEEN(type, first, last) (offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first))
-#define WORDS(bytes) ((uint32_t)((bytes) * sizeof(char[((bytes) % 8u == 0u) ? 1 : -1])))
-#define FOLDED(fold, whole, type, first, last)                                                                         \
-    zygos_fold_memory(fold, (const unsigned char *)(whole) + offsetof(type, first), WORDS(BETWEEN(type, first, last)))
-
 static uint64_t places_of(const zygos_refine_t *self)
 {
     const zygos_refiner_t *filter = &self->filter;
@@ -82,10 +75,10 @@ static uint64_t places_of(const zygos_refine_t *self)
     const size_t first = offsetof(zygos_propagation_t, base_rates);
     const size_t end = offsetof(zygos_propagation_t, sign);
     uint64_t fold = zygos_checksum_memory(0u, counts + first, (uint32_t)(end - first));
-    fold = FOLDED(fold, &filter->settings, zygos_refiner_settings_t, steps, reserved);
-    fold = FOLDED(fold, &self->settings, zygos_refine_settings_t, every, apart);
-    fold = FOLDED(fold, &self->work, zygos_refiner_work_t, shapes, reserved);
-    fold = FOLDED(fold, self, zygos_refine_t, started, abandoned);
+    fold = ZYGOS_FOLDED(fold, &filter->settings, zygos_refiner_settings_t, steps, reserved);
+    fold = ZYGOS_FOLDED(fold, &self->settings, zygos_refine_settings_t, every, apart);
+    fold = ZYGOS_FOLDED(fold, &self->work, zygos_refiner_work_t, shapes, reserved);
+    fold = ZYGOS_FOLDED(fold, self, zygos_refine_t, started, abandoned);
     fold = zygos_folded(fold, filter->fast);
     fold = zygos_folded(fold, filter->entries);
     fold = zygos_folded(fold, filter->constants);

@@ -20,7 +20,7 @@ from zygos.files.inputs import local
 from zygos.files.output import check_outputs, counted, is_dash, number, say, table, write_json
 from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
-from zygos.native.flight import Flight, encode, receivable
+from zygos.native.flight import MAX_REFUSED_SHARE, Flight, encode, receivable
 from zygos.telemetry.convert import (
     averages_torques,
     check_noise,
@@ -38,7 +38,6 @@ from zygos.telemetry.convert import (
     write_run,
 )
 from zygos.telemetry.grid import (
-    REFUSED_MAX,
     Noise,
     needed_rate,
     noisier,
@@ -224,7 +223,7 @@ def _judge(bandwidth: dict[str, Any], faster: str, mapping: Map, out: Path, arm:
         known = [one for one in (needed, even) if one is not None]
         wanted = f">= {min(known):.4g} Hz" if known else "more than the searched range"
         raise Undecided(f"{rate:.4g} Hz; this motion needs {wanted} ({out} written); remedy: {faster}, or {smoother}")
-    if cutoff_hz is None and refused is not None and refused > REFUSED_MAX:
+    if cutoff_hz is None and refused is not None and refused > MAX_REFUSED_SHARE:
         raise Undecided(
             f"{refused:.0%} of the instants fail the bandwidth test on the grid, though the telemetry is fast enough "
             f"({out} written; {jitter}); remedy: "

@@ -12,15 +12,15 @@ from zygos.arm import Arm
 from zygos.can.run import of_fd, without_cycle
 from zygos.effects import GAIN
 from zygos.files.output import counted, number
-from zygos.native.flight import MIN_SIGNAL_TO_NOISE, REASONS, Estimate, Flight
+from zygos.native.flight import MAX_REFUSED_SHARE, MIN_SIGNAL_TO_NOISE, REASONS, Estimate, Flight
 
 NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"})
 """Fault counters that do not count rejected frames."""
 MANY_DROPPED = 0.02
 """Share of dropped cycles above which the loss is reported before any other cause."""
-MOST_REFUSED, REFUSED_SEEN = 0.05, 0.02
-"""Share of the instants that fail the bandwidth test above which the motion is too fast, as in the C library, and above
-which a faster motion or a longer window of the smoother would make it so."""
+REFUSED_SEEN = 0.02
+"""Share of the instants that fail the bandwidth test above which a faster motion or a longer window of the smoother
+would make the motion too fast."""
 LEAST_BLOCKS, INSTANTS_PER_PARAMETER = 8, 3
 """Minimum numbers of blocks and of instants per parameter for a solution, as in the C library."""
 (
@@ -81,7 +81,7 @@ def remedy(result: Estimate, flight: Flight, known: Sequence[Known] = ()) -> str
         return of_the_bus
     if result.reason == NO_DATA:
         return _more(result, flight)
-    if result.reason in (NOISE, NOT_IDENTIFIABLE, TOO_FAST) and _refused(result) > MOST_REFUSED:
+    if result.reason in (NOISE, NOT_IDENTIFIABLE, TOO_FAST) and _refused(result) > MAX_REFUSED_SHARE:
         return _too_fast(result)
     buried = result.rank == len(result.names) and result.signal_to_noise < MIN_SIGNAL_TO_NOISE
     if result.reason == NOISE or (result.reason == NOT_IDENTIFIABLE and buried):
@@ -186,7 +186,7 @@ def _more(result: Estimate, flight: Flight) -> str:
         return _too_fast(result)
     if result.accepted < needed:
         return f"a longer run: {counted(result.accepted, 'instant')} were accepted, {needed} are needed"
-    if _refused(result) > MOST_REFUSED:
+    if _refused(result) > MAX_REFUSED_SHARE:
         return _too_fast(result)
     return (
         f"a longer run, or shorter arcs ([arc] max_s): its {counted(result.accepted, 'instant')} make "

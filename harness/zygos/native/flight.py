@@ -34,6 +34,8 @@ CHANGE_ALARM = 6.0
 """Deviations that are no accident, as ``ZYGOS_CHANGE_ALARM``."""
 MIN_SIGNAL_TO_NOISE = 2.0
 """Ratio of sums to noise below which only part of the noise is subtracted, as ``ZYGOS_MIN_SIGNAL_TO_NOISE``."""
+MAX_REFUSED_SHARE = 0.05
+"""Share of the instants that may fail the bandwidth test, as ``MAX_REFUSED_SHARE`` in solver.c."""
 OVERDECLARED = 0.6
 """Share of the declared noise below which the residuals determine the noise instead, as ``ZYGOS_OVERDECLARED``."""
 

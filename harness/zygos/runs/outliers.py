@@ -17,7 +17,7 @@ from zygos import limits
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
 
-_SAME, _MOST = 3, 0.6
+_CODE_COUNT, _CODE_SHARE = 3, 0.6
 """Number of equal values, and their share, from which on they are a code rather than readings."""
 
 
@@ -157,5 +157,5 @@ def two_courses(x: Floats, floor: float) -> Places:
 def code_of(values: Floats) -> float | None:
     """The value that most of these have, if they are several."""
     sent, times = np.unique(values, return_counts=True)
-    often = len(values) and times.max() >= max(_SAME, _MOST * len(values))
+    often = len(values) and times.max() >= max(_CODE_COUNT, _CODE_SHARE * len(values))
     return float(sent[np.argmax(times)]) if often else None

@@ -21,12 +21,11 @@ from zygos.errors import ZygosError
 from zygos.files.inputs import local
 from zygos.files.output import cannot_be_written, counted, write_text
 from zygos.files.tables import is_table
-from zygos.native.flight import WINDOW_MAX, Flight, fits_window, longer_period
+from zygos.native.flight import MAX_REFUSED_SHARE, WINDOW_MAX, Flight, fits_window, longer_period
 from zygos.runs.cycles import INVALID, Cycles
 from zygos.runs.tables import write_cycles
 from zygos.simulation.sensors import encoder_angle
 from zygos.telemetry.grid import (
-    REFUSED_MAX,
     Noise,
     Track,
     bridged,
@@ -345,7 +344,7 @@ def signal_rows(
 def _smoother_warnings(arm: Arm, refused: float | None) -> list[str]:
     warnings = []
     cutoff = arm.smoother.cutoff_hz
-    if cutoff is not None and refused is not None and refused > REFUSED_MAX:
+    if cutoff is not None and refused is not None and refused > MAX_REFUSED_SHARE:
         warnings.append(
             f"at {refused:.0%} of the instants, the smoother with its cut-off of {cutoff:g} Hz takes more from the "
             "motion than the noise of the encoders hides (bandwidth test); what they add depends on the cut-off"

@@ -24,6 +24,7 @@ from zygos.arm import Arm, Encoder
 from zygos.cutoff import periods
 from zygos.errors import ZygosError
 from zygos.files.output import counted
+from zygos.native.flight import MAX_REFUSED_SHARE
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.runs.samples import calibrate
 from zygos.runs.smoother import smooth
@@ -38,8 +39,6 @@ MANY_REPEATED = 0.05
 """Share of repeated stamps above which a clock is too coarse for its signal."""
 SPAN_MAX = 50
 """Largest ratio of a recording's time span to the time of its samples; a larger one shows that a clock jumped."""
-REFUSED_MAX = 0.05
-"""Share of instants that the bandwidth test may refuse (the flight library's own limit)."""
 DOUBLINGS = 6
 DECIMATED = 2.5
 """Number of samples in a period from which a signal is averaged."""
@@ -660,6 +659,6 @@ def needed_rate(found: Sequence[Track], arm: Arm, mapping: Map) -> tuple[float, 
     for k in range(DOUBLINGS + 1):
         at_rate = replace(steady, period_s=slowest / 2**k)
         smoothed = smooth(at_rate, calibrate(at_rate, regrid(angles, at_rate, mapping, kind="quintic")))
-        if len(smoothed.accepted) == 0 or np.mean(~smoothed.accepted) <= REFUSED_MAX:
+        if len(smoothed.accepted) == 0 or np.mean(~smoothed.accepted) <= MAX_REFUSED_SHARE:
             return 1.0 / slowest, 2**k / slowest
     return 1.0 / slowest, None

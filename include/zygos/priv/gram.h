@@ -86,6 +86,14 @@ __attribute__((always_inline)) static inline uint64_t zygos_fold_words(uint64_t 
     }
     return fold;
 }
+
+/// The same with the members of a struct from the first to the last of these, with what lies between: whole words, or
+/// it does not compile. Needs stddef.h.
+#define ZYGOS_BETWEEN(type, first, last) (offsetof(type, last) + sizeof(((type *)0)->last) - offsetof(type, first))
+#define ZYGOS_WORDS(bytes) ((uint32_t)((bytes) * sizeof(char[((bytes) % 8u == 0u) ? 1 : -1])))
+#define ZYGOS_FOLDED(fold, whole, type, first, last)                                                                   \
+    zygos_fold_words(fold, (const unsigned char *)(whole) + offsetof(type, first),                                     \
+                     ZYGOS_WORDS(ZYGOS_BETWEEN(type, first, last)))
 #endif
 
 /// Adds z z^T to gram, and its row sums to sum. The three arrays must not overlap. Cost: a product and a sum for each
