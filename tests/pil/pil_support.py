@@ -118,7 +118,7 @@ def on_host(config: Any, sections: Sequence[Section], in_place: bool = False) ->
         records.append(Record(kind, bytes(data)))
 
     def instant() -> None:
-        head = struct.pack("<QII", arm.cycle, arm.instant, int(arm.accepted > 0.0))
+        head = struct.pack("<QII", arm.sums.cycle, arm.instant, int(arm.accepted > 0.0))
         add("instant", head + b"".join(bytes(ffi.buffer(x)) for x in parts))
 
     parts = [ffi.addressof(arm, name) for name in ("arm_state", "motion", "row")]
