@@ -23,12 +23,11 @@ from zygos.can import damaged as salvage
 from zygos.can import vcan
 from zygos.errors import ZygosError, installs, pip_installs
 from zygos.files import inputs
+from zygos.files.inputs import LOG_SUFFIXES
 from zygos.files.output import cannot_be_written, is_dash, write_bytes
 from zygos.native.flight import FRAME
 from zygos.runs.span import WHOLE, span
 
-LOG_SUFFIXES = (".log", ".blf", ".asc", ".trc", ".mf4")
-"""Formats in which python-can stores classical frames without loss."""
 _EXTENDED, _REMOTE, _ERROR, _FD = 1, 2, 4, 8
 _SYNC = 0x080
 _POLL_S = 0.2

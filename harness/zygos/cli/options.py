@@ -10,8 +10,8 @@ from typing import Annotated, Any, TypeVar, cast
 
 import typer
 
-from zygos.can.bus import LOG_SUFFIXES
 from zygos.errors import ZygosError
+from zygos.files.inputs import LOG_SUFFIXES
 from zygos.files.tables import TABLE_SUFFIXES
 from zygos.runs.span import reading
 

@@ -19,6 +19,8 @@ from typing import BinaryIO
 from zygos.errors import ZygosError
 from zygos.files.output import is_dash, note
 
+LOG_SUFFIXES = (".log", ".blf", ".asc", ".trc", ".mf4")
+"""Formats of CAN logs, in which python-can stores classical frames without loss."""
 _GZIP = ".gz"
 _GZIP_MARK = b"\x1f\x8b"
 _BINARIES = (
