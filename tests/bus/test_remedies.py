@@ -333,6 +333,7 @@ def test_a_smoother(tmp_path: Path, called: set[str]) -> None:
     assert checked(tmp_path / "after", document, None, cycles, arm.period_s).findings == ()
 
 
+@pytest.mark.slow
 def test_the_torque_law_of_an_arm_on_the_ground(tmp_path: Path, called: set[str]) -> None:
     """Torques half a period older than samples would be are those of the cycle before."""
     cycles = older("tau", range(3), 0.5)(recorded(panda(3), 0, noise=0.0).cycles)

@@ -181,8 +181,8 @@ FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
 
 
 QUICK_FAULTS = (
-    "lively-two at once", "b-elbow *inverted", "b-shoulder link angle stuck?", "b-elbow torque dead", "b-gyro z *ed",
-    "b-shoulder link angle clipped", "b-links swapped", "b-torques swapped", "b-encoders of joint 1", "b-*turned",
+    "lively-two at once", "b-elbow motor angle inverted", "b-shoulder link angle stuck?", "b-elbow torque dead", "b-gyro z *ed",
+    "b-shoulder link angle clipped", "b-torques swapped", "b-encoders of joint 1",
 )  # fmt: skip
 
 

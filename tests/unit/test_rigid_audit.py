@@ -76,7 +76,7 @@ def cases() -> Iterator[tuple[int, str, Fault, dict[str, str]]]:
 CASES = list(cases())
 
 
-@pytest.mark.slow(but=["3 two"])
+@pytest.mark.slow(but=["3 inverted 1"])
 @pytest.mark.parametrize(
     ("joints", "fault", "expected"), [(n, *case) for n, _, *case in CASES], ids=[f"{n} {name}" for n, name, *_ in CASES]
 )
@@ -102,7 +102,7 @@ CONSTANTS = (2.0, 3.0, 0.7, 1.4, 0.3, 5.0, 1.0)
 """Ampere for one Nm of each motor."""
 
 
-@pytest.mark.slow(but=["3-swapped"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "expected"),
     [(both(), {}), (inverted("tau", 1), {T[1]: "inverted"}), exchange(1, 2)],
