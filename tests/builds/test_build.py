@@ -85,7 +85,7 @@ def declared() -> dict[str, str]:
     return out
 
 
-@pytest.mark.slow(but=["gcc"])
+@pytest.mark.slow
 @pytest.mark.parametrize("target", TARGETS)
 def test_exports_what_the_headers_declare_and_needs_the_compilers_runtime_only(target: str, tmp_path: Path) -> None:
     """The archive of a build with strict warnings, in freestanding C on the boards."""

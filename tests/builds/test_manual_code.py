@@ -112,7 +112,7 @@ def test_the_program_of_the_readme_has_no_data_race(
     assert found["overrun"] == found["repairs"] == found["losses"] == 0
 
 
-@pytest.mark.slow(but=["background"])
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", ["zygos_background_t", "zygos_in_place_t"], ids=["background", "in-place"])
 def test_flipped_bits_take_the_program_of_the_readme_not_out_of_its_memory(memory: str, bus: Path) -> None:
     """Bits of `arm` and of its memory flip between the calls, under the sanitizers of addresses and of undefined

@@ -54,6 +54,7 @@ def stdin(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], None]:
 # ---------------------------------------------------------------------------------------------- compressed, or UTF-16
 
 
+@pytest.mark.slow(but=[".log", ".csv"])
 @pytest.mark.parametrize("suffix", [".log", ".blf", ".asc", ".npz", ".csv"])
 def test_a_compressed_run(suffix: str, brief: Log, arm: Arm, tmp_path: Path, stdin: Callable[[bytes], None]) -> None:
     """By its suffix, by its first bytes, in two parts, and on standard input."""

@@ -241,9 +241,7 @@ def named(found: Audit) -> list[str]:
         "unit in deg/s*",
         "delay late by0",
         "inverted inverted1",
-        "noisy_angle *",
         "torque_law *",
-        "swapped *",
     ]
 )
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.remedy} {case.finding}" for case in CASES])
