@@ -188,8 +188,10 @@ loop: build node $(VENV)/.test ## from the bus to the model and back, beside a n
 	$(BIN)/python -m zygos.demo.loop
 	cp $${ZYGOS_OUT:-out}/loop/loop.svg docs/loop.svg
 
-demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
+demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo and docs/gap.svg again
 	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.demo_log
+	$(BIN)/python -m zygos.demo
+	cp out/demo/gap.svg docs/gap.svg
 
 reference: build $(VENV)/.test ## the pages in docs/reference/: keys of the files, codes of the C library, JSON outputs
 	$(BIN)/python tools/reference.py

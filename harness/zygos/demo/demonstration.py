@@ -1,8 +1,8 @@
 """The demonstration that `make` runs: the paper's example from CAN frames to parameters, a gap explained, and a report.
 
-Each step runs as a separate process, and the one that estimates gets no file with true values: `zygos simulate` writes
-a log, its frames are sent over a bus, `zygos estimate` and numpy read what arrived, and only then the scoring step
-reads the plant's model.
+Each step runs as a separate process, and those that estimate get no file with true values: `zygos simulate` writes
+a log, its frames are sent over a bus, `zygos estimate`, `zygos refine` and numpy read what arrived, and only then the
+scoring step reads the plant's model.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from zygos import reference
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.can.run import Run
+from zygos.demo.bars import draw_gap
 from zygos.demo.page import Convergence, write_report
 from zygos.errors import ZygosError
 from zygos.estimation.estimate import estimate
@@ -36,6 +37,7 @@ from zygos.simulation.score import score
 
 EXAMPLE, GAP = Path("examples/paper"), Path("examples/gap")
 SNAPSHOT_CYCLES = 20
+GAPS = {"as_delivered": "as delivered", "refit": "refit", "closed": "closed", "floor": "floor"}
 
 
 def choose_bus() -> tuple[str, str]:
@@ -119,7 +121,7 @@ def explain_gap(folder: Path) -> dict[str, Any]:
         "unit": found["unit"],
         "sentence": verdict["sentence"],
         "report": report.name,
-        **{name: gap[name] for name in ("as_delivered", "refit", "closed", "floor")},
+        **{name: gap[name] for name in GAPS},
     }
 
 
@@ -144,9 +146,9 @@ def learn(folder: Path) -> Learned:
     """Simulate the paper's example, send its frames over a bus, estimate, score. Writes run, arm and estimate."""
     folder.mkdir(parents=True, exist_ok=True)
     sent, run = folder / "sent.blf", folder / "run.blf"
-    estimate_file, estimate_json = folder / "estimate.toml", folder / "estimate.json"
-    (folder / "arm.toml").unlink(missing_ok=True)
-    estimate_file.unlink(missing_ok=True)
+    estimate_file, refined_file = folder / "estimate.toml", folder / "refined.toml"
+    for written in (folder / "arm.toml", estimate_file, refined_file):
+        written.unlink(missing_ok=True)
 
     note("simulating the paper's arm …")
     run_zygos("simulate", EXAMPLE / "scenario.toml", "-o", sent)
@@ -169,7 +171,10 @@ def learn(folder: Path) -> Learned:
         )
 
     note("estimating …")
+    estimate_json, refined_json = estimate_file.with_suffix(".json"), refined_file.with_suffix(".json")
     run_zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
+    run_zygos("refine", run, "--arm", arm_file, "-o", refined_file, "--json", refined_json)
+    refined = json.loads(refined_json.read_text())["parameters"]
     numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
     convergence = converge(arm, frames)
 
@@ -177,6 +182,7 @@ def learn(folder: Path) -> Learned:
     scenario = load_scenario(EXAMPLE / "scenario.toml")
     true = load_model(scenario.plant).base_values(arm)
     percent = score(result.value, true).error_percent
+    refined_percent = score(np.array([entry["value"] for entry in refined]), true).error_percent
     parameters: list[dict[str, Any]] = [
         {
             "name": n,
@@ -186,8 +192,11 @@ def learn(folder: Path) -> Learned:
             "c": float(c),
             "half95": float(h),
             "error_percent": float(e),
+            "refined": better["value"],
+            "refined_half95": better["half95"],
+            "refined_error_percent": float(r),
         }
-        for n, u, t, x, c, h, e in zip(
+        for n, u, t, x, c, h, e, better, r in zip(
             arm.parameter_names,
             arm.parameter_units,
             true,
@@ -195,6 +204,8 @@ def learn(folder: Path) -> Learned:
             result.value,
             result.half95,
             percent,
+            refined,
+            refined_percent,
             strict=True,
         )
     ]
@@ -209,7 +220,7 @@ def learn(folder: Path) -> Learned:
 
 
 def run_demo(folder: Path = Path("out/demo")) -> None:
-    """Estimate the paper's arm, explain a gap, and write a report: folder/report.html and folder.json."""
+    """Estimate the paper's arm, explain a gap, and write folder/report.html, folder/gap.svg and folder.json."""
     begin = time.monotonic()
     check_outputs([folder / "report.html", folder.with_suffix(".json")], [])
     learned = learn(folder)
@@ -217,6 +228,7 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     note("explaining a gap with a hidden effect …")
     gap = content["gap"] = explain_gap(folder)
     write_json(folder.with_suffix(".json"), content)
+    draw_gap(folder / "gap.svg", gap)
     write_report(
         folder / "report.html",
         learned.arm,
@@ -228,37 +240,47 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
         content,
     )
 
+    _print_parameters(content["parameters"])
+    note_of_bus = f"{learned.losses} · C and numpy differ by at most {_difference(content['parameters']):.0e}"
+    say(f"arm {learned.arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {note_of_bus}")
+    say(
+        f"hidden effect: {'found' if gap['right'] else 'MISNAMED as'} {gap['title']}, {gap['where']}, "
+        f"{number(gap['value'], 4)} {gap['unit']} (hidden: {gap['size']})"
+    )
+    shrinks = [f"{number(gap[key], 3)} {word}" for key, word in GAPS.items()]
+    say(f"gap between simulation and measurement, sigma: {', '.join(shrinks)}")
+    say(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')} · {time.monotonic() - begin:.0f} s")
+    say(
+        "next: link it into a flight computer (docs/integrate.md), put it beside a bus (docs/node.md), "
+        "or explain your own arm (docs/tasks.md)"
+    )
+
+
+def _print_parameters(parameters: list[dict[str, Any]]) -> None:
+    """True values, those of the energy balance, and the refined ones, with their 95 % intervals and errors."""
+
+    def cells(value: float, half95: float, error_percent: float, decimals: int) -> tuple[str, str, str]:
+        return number(value, 7), f"{100.0 * ratio(half95, value):.{decimals}f} %", f"{error_percent:+.{decimals}f} %"
+
+    def mean(key: str, decimals: int) -> str:
+        return f"{float(np.mean([abs(p[key]) for p in parameters])):.{decimals}f} %"
+
     table(
-        ("name", "unit", "true", "estimate", "±95 %", "error", "C vs numpy"),
+        ("name", "unit", "true", "energy balance", "±95 %", "error", "refined", "±95 %", "error"),
         [
             (
                 p["name"],
                 p["unit"],
                 number(p["true"], 7),
-                number(p["c"], 7),
-                f"{100 * ratio(p['half95'], p['c']):.2f} %",
-                f"{p['error_percent']:+.2f} %",
-                f"{abs(ratio(p['c'], p['numpy']) - 1):.0e}",
+                *cells(p["c"], p["half95"], p["error_percent"], 2),
+                *cells(p["refined"], p["refined_half95"], p["refined_error_percent"], 5),
             )
-            for p in content["parameters"]
-        ],
+            for p in parameters
+        ]
+        + [("mean |error|", *[""] * 4, mean("error_percent", 2), *[""] * 2, mean("refined_error_percent", 5))],
     )
-    mean = float(np.mean([abs(p["error_percent"]) for p in content["parameters"]]))
-    say(
-        f"arm {learned.arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {learned.losses} · "
-        f"mean |error| {mean:.2f} % · {time.monotonic() - begin:.0f} s"
-    )
-    shrinks = ", ".join(
-        f"{number(gap[key], 3)} {word}"
-        for key, word in {
-            "as_delivered": "as delivered",
-            "refit": "refit",
-            "closed": "closed",
-            "floor": "floor",
-        }.items()
-    )
-    say(
-        f"hidden effect: {'found' if gap['right'] else 'MISNAMED as'} {gap['title']}, {gap['where']}, "
-        f"{number(gap['value'], 4)} {gap['unit']} (hidden: {gap['size']}) · gap, sigma: {shrinks}"
-    )
-    say(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')}")
+
+
+def _difference(parameters: list[dict[str, Any]]) -> float:
+    """The largest relative difference between the estimates of C and of numpy."""
+    return max(abs(ratio(p["c"], p["numpy"]) - 1.0) for p in parameters)

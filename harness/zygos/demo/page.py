@@ -6,7 +6,7 @@ Python selects and scales the numbers; `demo.html` contains the text, and the sc
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,7 +52,8 @@ def write_report(
     """Write the page: parameter table, trajectories, energy ledger, convergence, residual.
 
     numpy_value (p,) is the reference's estimate, true (p,) the plant's values; content has `bus`, `cycles` and
-    `faults`, and may have `gap`, the result of `zygos.demo.demonstration.explain_gap`.
+    `faults`, and may have `parameters` with refined values, and `gap`, the result of
+    `zygos.demo.demonstration.explain_gap`.
     """
     ledger = balance(arm, trace, estimate.value)
     every = drawn(trace)
@@ -81,6 +82,7 @@ def write_report(
         cycles=int(content["cycles"]),
         faults=dict(content["faults"]),
         gap=content.get("gap"),
+        refined=_refined(content.get("parameters", [])),
         instants=int(trace.instant.sum()),
         refused=len(refused),
         duration=float(time[-1] - time[0]) if len(time) else 0.0,
@@ -90,6 +92,15 @@ def write_report(
         number=number,
         **_parameters(arm, estimate, numpy_value, true),
     )
+
+
+def _refined(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, str, str]]:
+    """Of each parameter, as text: the refined value, its error and its half width, both in per cent."""
+    out = {}
+    for p in parameters:
+        half95 = 100.0 * abs(p["refined_half95"] / p["true"])
+        out[p["name"]] = (grouped(p["refined"]), f"{p['refined_error_percent']:+.5f}", f"{half95:.5f}")
+    return out
 
 
 def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats) -> Entry:

@@ -1,4 +1,4 @@
-"""The picture of the closed loop that README.md shows."""
+"""The picture of the closed loop that docs/node.md shows."""
 
 from __future__ import annotations
 
