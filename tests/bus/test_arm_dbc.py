@@ -117,6 +117,7 @@ def check_run(arm: Arm, path: Path, names: tuple[str, ...], frames: Log) -> None
     assert len(seconds) == math.ceil(len(read) / 50)
 
 
+@pytest.mark.slow
 def test_the_example_is_decoded_as_the_receiver_does(
     written: Callable[[str | Path], tuple[Arm, Path]], noisy: Trajectory
 ) -> None:
@@ -124,6 +125,7 @@ def test_the_example_is_decoded_as_the_receiver_does(
     check_run(arm, path, ("shoulder", "elbow"), encode(arm, noisy.cycles(0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gyro", ["fine", "coarse"])
 def test_seven_joints_are_decoded_as_the_receiver_does(
     written: Callable[[str | Path], tuple[Arm, Path]], gyro: str
@@ -132,6 +134,7 @@ def test_seven_joints_are_decoded_as_the_receiver_does(
     check_run(arm, path, SEVEN, encode(arm, wandering(arm, 300, 0)))
 
 
+@pytest.mark.slow
 def test_a_fixed_base_is_decoded_as_the_library_does(written: Callable[[str | Path], tuple[Arm, Path]]) -> None:
     _, path = written(arm_text(SEVEN, SEVEN_NODES, gyro=None, kinetic="spatial"))
     dbc = database(path)
@@ -166,6 +169,7 @@ def test_a_fixed_base_is_decoded_as_the_library_does(written: Callable[[str | Pa
             assert own == pytest.approx(expected, rel=1e-12, abs=0.0)
 
 
+@pytest.mark.slow
 def test_two_parsers_agree(written: Callable[[str | Path], tuple[Arm, Path]]) -> None:
     """cantools and canmatrix share no code: same frames, and the same values of every signal of a run. Two names have
     marks that comments must escape."""
@@ -200,6 +204,7 @@ def test_two_parsers_agree(written: Callable[[str | Path], tuple[Arm, Path]]) ->
         assert {name: float(found.phys_value) for name, found in others.items()} == pytest.approx(values, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_messages_are_those_of_the_arm(written: Callable[[str | Path], tuple[Arm, Path]]) -> None:
     _, path = written(arm_text(SEVEN, SEVEN_NODES, gyro="coarse", imu_node=2))
     expected = {"SYNC": 0x080, "FTIME": 0x3A0, "TELEMETRY": 0x1A0, "HEARTBEAT": 0x720}
@@ -243,7 +248,7 @@ def test_units_ranges_times_and_tables(written: Callable[[str | Path], tuple[Arm
             assert message.frame_id == (0x180, 0x280, 0x380, 0x180)[attributes["E2EFamily"].value] + node
 
 
-@pytest.mark.slow(but=["planar-symmetric-fine"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("kinetic", "gyro"), [("planar-symmetric", "fine"), ("planar", None), ("spatial", "coarse")])
 def test_telemetry_names_each_parameter(
     written: Callable[[str | Path], tuple[Arm, Path]], kinetic: str, gyro: str | None

@@ -49,6 +49,7 @@ def faults(content: dict[str, Any]) -> list[tuple[str, str]]:
     return [(f["signal"], f["fault"]) for f in content["findings"]]
 
 
+@pytest.mark.slow
 def test_a_clean_log_is_clean(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]) -> None:
     content = answer(tmp_path, ARM, logged(tmp_path / "run.blf", arm, cycles), 0)
     assert content["ok"]
@@ -60,6 +61,7 @@ def test_a_clean_log_is_clean(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: 
     assert "shoulder link angle" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_wrong_arm_file_is_told_what_to_write(
     tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -73,12 +75,14 @@ def test_a_wrong_arm_file_is_told_what_to_write(
     assert "1 finding, the first: shoulder motor angle inverted; remedy: sign = 1" in said.err
 
 
+@pytest.mark.slow
 def test_json_alone_on_stdout(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]) -> None:
     log = logged(tmp_path / "run.blf", arm, cycles)
     assert run("check-arm", ARM, log, "--json", "-") == 0
     assert json.loads(capsys.readouterr().out)["arm"] == "lively"
 
 
+@pytest.mark.slow
 def test_a_cycle_table_gives_what_the_log_gives(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
     q = cycles.q.copy()
     q[:, 1] *= -1
@@ -102,6 +106,7 @@ def test_torque_beyond_the_wire_is_saturated(tmp_path: Path, arm: Arm, cycles: C
     assert finding["evidence"].startswith(f"{beyond} frames")
 
 
+@pytest.mark.slow
 def test_lost_frames_are_counted_by_signal(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
     frames = encode(arm, cycles)
     torque = np.flatnonzero(frames["id"] == 0x281)
@@ -111,6 +116,7 @@ def test_lost_frames_are_counted_by_signal(tmp_path: Path, arm: Arm, cycles: Cyc
     assert {s for s, fault in faults(content) if "loses" in fault} == {"shoulder torque"}
 
 
+@pytest.mark.slow
 def test_a_node_that_is_not_there_is_missing(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
     wrong = tmp_path / "arm.toml"
     wrong.write_text(ARM.read_text().replace("node = 2", "node = 3"))
@@ -120,6 +126,7 @@ def test_a_node_that_is_not_there_is_missing(tmp_path: Path, arm: Arm, cycles: C
     assert {s["verdict"] for s in content["signals"]} == {"missing", "not decidable"}
 
 
+@pytest.mark.slow
 def test_the_clock_of_the_bus_is_held_against_the_period(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
     wrong = tmp_path / "arm.toml"
     wrong.write_text(ARM.read_text().replace("period_s = 0.05", "period_s = 0.04"))
@@ -166,6 +173,7 @@ def test_a_bad_table_is_refused(
     assert not (tmp_path / "a.json").exists()
 
 
+@pytest.mark.slow
 def test_a_measured_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A KUKA KR300's table: the skew between its encoders is named before anybody reads a stiffness from them."""
     need(KR300.is_file(), f"the measured run of a KUKA KR300, {KR300.name}")

@@ -132,6 +132,7 @@ def test_effects_of_a_model_are_learned(recording: Path, tmp_path: Path, capsys:
     assert load_model(tmp_path / "again.toml") == load_model(out)
 
 
+@pytest.mark.slow
 def test_an_arm_file_that_does_not_vouch_for_a_zero_gets_an_offset(recording: Path, tmp_path: Path) -> None:
     """The run was made with zeros that are right; here the elbow's are not: 0.02 rad at 1000 Nm/rad."""
     arm = tmp_path / "arm.toml"
@@ -151,6 +152,7 @@ def test_an_arm_file_that_does_not_vouch_for_a_zero_gets_an_offset(recording: Pa
     assert load_model(again) == load_model(out)
 
 
+@pytest.mark.slow
 def test_a_friction_that_noise_makes_negative_is_written_as_none(brief_recording: Path, tmp_path: Path) -> None:
     written = set()
     for joint in ("shoulder", "elbow"):
@@ -220,6 +222,7 @@ def test_estimate_of_too_short_a_run_is_undecided(
     assert content["parameters"][0]["value"] is None
 
 
+@pytest.mark.slow
 def test_check(recording: Path, tmp_path: Path) -> None:
     assert run("check", recording, "--json", tmp_path / "check.json") == 0
     rooms = {room["room"]: room for room in json.loads((tmp_path / "check.json").read_text())["rooms"]}
@@ -238,6 +241,7 @@ def test_check_says_when_c_and_numpy_differ(brief_recording: Path, monkeypatch: 
     assert run("check", brief_recording) == 3
 
 
+@pytest.mark.slow
 def test_listen(brief_recording: Path, tmp_path: Path) -> None:
     with playing("test_listen", brief_recording, 0.05):
         where = ("-i", "virtual", "-c", "test_listen", "--idle", 1)
@@ -491,6 +495,7 @@ def test_check_of_a_run_without_an_instant(
     assert "fault counters" in said.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "changes"),
     [
@@ -519,6 +524,7 @@ def listen(channel: str, folder: Path, *more: object) -> int:
     return run("listen", "--arm", EXAMPLE / "arm.toml", *where, *more)
 
 
+@pytest.mark.slow(only=["2"])
 @pytest.mark.parametrize("which", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_listening_and_keeps_what_was_learned(
     which: signal.Signals, brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -540,6 +546,7 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
     assert bus.read_log(tmp_path / "live.log").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
 
 
+@pytest.mark.slow
 def test_the_heartbeat_of_others_does_not_keep_it_listening(brief_recording: Path, tmp_path: Path) -> None:
     done = threading.Event()
 

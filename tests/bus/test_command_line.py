@@ -39,6 +39,7 @@ def test_there_are_commands() -> None:
     assert len(COMMANDS) >= 15
 
 
+@pytest.mark.slow(only=["simulate-60"])
 @pytest.mark.parametrize("width", [60, 80])
 @pytest.mark.parametrize("command", [None, *COMMANDS])
 def test_help_is_whole(
@@ -123,7 +124,7 @@ def stdin(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], None]:
     return put
 
 
-@pytest.mark.slow(only=[".mf4"])
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".blf", ".log", ".asc", ".trc", ".mf4", ".npz", ".csv", ".parquet"])
 def test_a_run_comes_on_standard_input(
     kind: str, brief_recording: Path, tmp_path: Path, stdin: Callable[[bytes], None], monkeypatch: pytest.MonkeyPatch
@@ -209,6 +210,7 @@ def test_only_one_file_goes_to_standard_output(brief_recording: Path, capsys: py
     assert said.out == ""
 
 
+@pytest.mark.slow(only=["arguments4*", "arguments0*", "arguments1*"])
 @pytest.mark.parametrize(
     ("arguments", "option", "suffix"),
     [

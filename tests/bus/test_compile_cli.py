@@ -43,6 +43,7 @@ def compiled(folder: Path, compiler: str, *flags: str) -> subprocess.CompletedPr
     return subprocess.run([*command, "-o", str(folder / "program")], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow(only=["spatial*", "seven*"])
 @pytest.mark.parametrize(
     ("example", "compiler"), [("paper", "gcc"), ("spatial", "clang"), ("seven", "g++"), ("spatial", "clang++")]
 )
@@ -98,6 +99,7 @@ def test_effects_that_the_library_lacks_are_refused_by_name(tmp_path: Path, caps
     assert (answer["effects"], answer["omitted"]) == (["motor_viscous2"], ["angular_momentum"])
 
 
+@pytest.mark.slow
 def test_parameters_have_their_places(tmp_path: Path) -> None:
     """The names of a spatial arm hold brackets and commas; the enumeration counts as the estimate does."""
     (tmp_path / "arm.toml").write_text(arm_text(tuple("abcdefg"), SEVEN_NODES, kinetic="spatial"))

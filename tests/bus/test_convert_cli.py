@@ -91,6 +91,7 @@ def brief_log(cycles: Cycles, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return foreign.write(folder / "my.blf", foreign.messages(every(cycles, slice(150)), steady, first_count=65_000))
 
 
+@pytest.mark.slow
 def test_a_log_with_a_counter_gives_the_native_estimate(arm: Arm, cycles: Cycles, log: Path, tmp_path: Path) -> None:
     """Within what the two roundings explain: that of the foreign codes, and that of zygos' own wire."""
     assert convert(log, tmp_path / "run.blf", "--json", tmp_path / "c.json") == 0
@@ -165,6 +166,7 @@ def si_log(folder: Path, cycles: Cycles) -> tuple[Path, Path, Path]:
     return foreign.write(folder / "si.asc", log), dbc, map_file
 
 
+@pytest.mark.slow
 def test_with_a_counter_and_si_not_a_bit_changes(arm: Arm, cycles: Cycles, tmp_path: Path) -> None:
     log, dbc, map_file = si_log(tmp_path, cycles)
     options = ("--dbc", dbc, "--map", map_file, "--arm", EXAMPLE / "arm.toml")
@@ -245,6 +247,7 @@ def without_noise(arm: Arm, model: Model, scenario: Scenario, run_: Cycles) -> N
     return angles
 
 
+@pytest.mark.slow
 def test_a_time_in_the_telemetry_goes_before_the_stamps(arm: Arm, cycles: Cycles, log: Path, tmp_path: Path) -> None:
     """Cycle.Time counts 0.1 ms and wraps; the log's stamps are useless. As even as a counter, so the same readings."""
     time_s = 0.05 * np.arange(len(cycles)) + 429_490.0  # the 32 bits end 6.7 s after the beginning
@@ -355,6 +358,7 @@ def test_a_wrong_unit(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "in opposite directions" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
 def test_a_foreign_table_and_the_cycle_door(
     arm: Arm, cycles: Cycles, tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
@@ -415,6 +419,7 @@ def test_cycles_of_no_use(cycles: Cycles, tmp_path: Path, capsys: pytest.Capture
     assert "600 cycles invalid, not finite or implausibly large" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_the_wire_cannot_carry_is_counted(arm: Arm, cycles: Cycles, tmp_path: Path) -> None:
     fast = cycles.omega.copy()
     fast[91:112, 2] = 5.2 * np.sin(np.pi * np.arange(21) / 20)
@@ -533,6 +538,7 @@ def test_refusals(
     assert source.read_bytes() == brief_log.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_run_is_replaced_with_its_arm_file(arm: Arm, cycles: Cycles, brief_log: Path, tmp_path: Path) -> None:
     """Also where the noise of the second conversion is another one, and nothing but the two files is left."""
     out = tmp_path / "out" / "run.npz"
@@ -580,6 +586,7 @@ def test_an_arm_file_of_the_user_is_not_replaced(brief_log: Path, tmp_path: Path
     assert sorted(path.name for path in out.iterdir()) == ["arm.toml", "run.blf"]
 
 
+@pytest.mark.slow(only=["write_cycles"])
 @pytest.mark.parametrize("fails", ["write_cycles", "write_text"])
 def test_a_conversion_that_cannot_be_written_changes_nothing(
     fails: str, brief_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -609,6 +616,7 @@ def test_a_table_takes_no_dbc(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "the input is a table, which has columns; remedy: name a column" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
     """The log of examples/telemetry, which is seed 7 of examples/paper, with the commands of docs/telemetry.md."""
     arm, model = load_arm(PAPER / "arm.toml"), load_model(PAPER / "model.toml")

@@ -193,6 +193,7 @@ def test_what_survives_is_read(kind: str, spoil: Spoil, said: str, frames: Frame
     assert any(said in text for text in damage)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "spoil"), [(".log", garbage_in_lines), ("small.blf", bit_in_a_block)])
 def test_what_survives_is_answered_from(
     kind: str, spoil: Spoil, arm: Arm, frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -245,6 +246,7 @@ def test_zeros_from_anywhere_in_a_line(kind: str, arm: Arm, frames: Frames, tmp_
         assert log.damage
 
 
+@pytest.mark.slow
 def test_a_hole_of_240_cycles_is_not_bridged(arm: Arm, frames: Frames, tmp_path: Path) -> None:
     """The counters look as if nothing were missing; FTIME tells, and what was learned across the hole is taken back."""
     syncs = frames["id"] == 0x080
@@ -368,6 +370,7 @@ def test_a_log_under_another_suffix(written: str, arm: Arm, frames: Frames, tmp_
         nothing_to_read(path)
 
 
+@pytest.mark.slow
 def test_a_table_of_cycles_with_a_row_that_is_not_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The cycle is missing, and the answer is that of the table without it."""
     telemetry, paper = ROOT / "examples" / "telemetry", ROOT / "examples" / "paper" / "arm.toml"

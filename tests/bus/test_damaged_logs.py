@@ -201,16 +201,19 @@ def same(arm: Arm, frames: Log) -> tuple[Cycles, dict[str, int]]:
     return cycles, faults
 
 
+@pytest.mark.slow(only=["fine"])
 def test_no_damage(hardware: Arm, whole: Log) -> None:
     cycles, faults = same(hardware, whole)
     assert (len(cycles), faults) == (CYCLES, {})
 
 
+@pytest.mark.slow(only=["coarse-error_frames"])
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 def test_one_kind_of_damage(hardware: Arm, whole: Log, damage: Damage) -> None:
     same(hardware, damage(np.random.default_rng(0), hardware, whole))
 
 
+@pytest.mark.slow
 def test_every_kind_of_damage_together(hardware: Arm, whole: Log) -> None:
     """In random order and number; all that can be counted is counted at least once."""
     total: Counter[str] = Counter()
@@ -228,6 +231,7 @@ def test_every_kind_of_damage_together(hardware: Arm, whole: Log) -> None:
     assert {flag & 7 for flag in flags} == {0, 1, 5}
 
 
+@pytest.mark.slow
 def test_an_estimate_from_a_damaged_log(arm: Arm, model: Model, clean: Callable[[float], Trajectory]) -> None:
     """All rooms behind the receiver agree as well, over arcs that ended for many reasons and one that was void."""
     run = clean(arm.period_s)

@@ -136,6 +136,7 @@ ANSWERS = {
 }
 
 
+@pytest.mark.slow(only=["nothing", "cubic", "bent", "coulomb"])
 @pytest.mark.parametrize("name", ANSWERS)
 def test_every_answer_has_its_exit_code_and_its_files(answer: Callable[[str], Answer], name: str) -> None:
     code, found, error, out = answer(name)
@@ -148,6 +149,7 @@ def test_every_answer_has_its_exit_code_and_its_files(answer: Callable[[str], An
     assert (found["change"] is not None) == (found["answer"] == "changed")
 
 
+@pytest.mark.slow
 def test_values_that_differ(folder: Path, tmp_path: Path) -> None:
     code, found = explain(folder, tmp_path, ["nothing0", "nothing1"], ["nothing2"], cad="heavier")
     assert (found["answer"], code) == ("values differ", 0), found["sentence"]
@@ -180,6 +182,7 @@ def test_a_friction_that_begins_within_a_run(answer: Callable[[str], Answer]) ->
     assert effect.value == pytest.approx(0.1 * size(), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_single_run_is_cut_into_thirds(folder: Path, tmp_path: Path) -> None:
     code, found = explain(folder, tmp_path, ["coulomb0"], [])
     assert (found["answer"], code) == ("named", 0), found["sentence"]
@@ -188,6 +191,7 @@ def test_a_single_run_is_cut_into_thirds(folder: Path, tmp_path: Path) -> None:
     assert found["gap"]["closed"] < 0.5 * found["gap"]["refit"]
 
 
+@pytest.mark.slow
 def test_a_single_run_is_halved_beside_runs_that_are_kept_apart(folder: Path, tmp_path: Path) -> None:
     """Those stay whole, and each of them is predicted."""
     _, found = explain(folder, tmp_path, ["coulomb0"], ["coulomb1", "coulomb2"])
@@ -208,6 +212,7 @@ def test_a_single_run_that_is_too_short_is_refused(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_values_after_an_option_are_that_option_again(
     folder: Path, answer: Callable[[str], Answer], tmp_path: Path
 ) -> None:

@@ -49,6 +49,7 @@ def fit(folder: Path, *more: object, arm: Path = EXAMPLE / "arm.toml") -> int:
     return run("fit", folder / "estimate.json", *files, *more)
 
 
+@pytest.mark.slow
 def test_from_a_run_to_bodies(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What estimate writes is what fit reads; simulate and export take the result."""
     out = folder / "run.blf"

@@ -45,6 +45,7 @@ def warnings(dbc: Path, folder: Path) -> list[str]:
     return found
 
 
+@pytest.mark.slow(only=["dbc_foreign_message_with_too_long_signal*"])
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -64,6 +65,7 @@ def test_the_faults_of_the_shared_cases(name: str, said: str, tmp_path: Path) ->
     assert warnings(CASES / f"{name}.dbc", tmp_path) == [f"{name}.dbc: {said}"]
 
 
+@pytest.mark.slow
 def test_a_message_that_comes_twice_in_one_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Which of the two the map means cannot be told; of a message that it does not use that does not matter."""
     case = CASES / "dbc_message_name_twice_in_one_file.dbc"
@@ -77,6 +79,7 @@ def test_a_message_that_comes_twice_in_one_file(tmp_path: Path, capsys: pytest.C
     assert "message Foreign is defined twice, with the identifiers 0x3E8 and 0x3E9; the map does not" in said
 
 
+@pytest.mark.slow(only=["length", "identifier", "two"])
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -136,6 +139,7 @@ BO_ 1000 Mux: 4 Drive1
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bits", [16, 40])
 def test_frames_with_other_signals_are_not_damaged(bits: int, tmp_path: Path) -> None:
     """A multiplexed torque, between whose frames come those with another signal, which does not even fit."""

@@ -82,6 +82,7 @@ def alone(arm: Arm, ours: Log) -> Run:
     return run
 
 
+@pytest.mark.slow
 def test_foreign_traffic_changes_no_bit(arm: Arm, ours: Log, strangers: Log, alone: Run) -> None:
     assert not set(np.unique(strangers["id"])) & set(identifiers(arm))
     for seed in range(3):
@@ -196,6 +197,7 @@ def estimated(path: Path, folder: Path) -> dict[str, Any]:
     return answer
 
 
+@pytest.mark.slow
 def test_on_the_command_line(arm: Arm, ours: Log, strangers: Log, tmp_path: Path) -> None:
     """The same from our frames alone, among strangers, and but for the fault counters among impostors."""
     path = tmp_path / "run.log"

@@ -35,6 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_several_runs_a_validation_and_a_prediction(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = run("estimate", folder / "a.blf", folder / "b.log", "--validate", folder / "c.npz", "-o", folder / "m.toml",
                "--json", folder / "m.json", "--details")  # fmt: skip
@@ -50,6 +51,7 @@ def test_several_runs_a_validation_and_a_prediction(folder: Path, capsys: pytest
     assert json.loads((folder / "p.json").read_text())["runs"][0]["share"] == answer["validated"][0]["share"]
 
 
+@pytest.mark.slow
 def test_tables_and_logs_give_the_same_answer(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shares = []
     for name in ("c.npz", "c.blf"):
@@ -144,6 +146,7 @@ def test_a_payload_since_a_partial_model_says_what_it_rests_on(
     assert widths[1] == pytest.approx(np.hypot(widths[0], 1.96 * 0.1 * mass["value"]), rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_recording_is_given_once(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("estimate", folder / "a.blf", "--validate", folder / "a.blf", "-o", tmp_path / "m.toml") == 2
     assert "are the same recording" in capsys.readouterr().err

@@ -68,6 +68,7 @@ def applied(remedy: str, map_file: Path, out: Path, column: str) -> Path:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "map_name", "key", "first"),
     [
@@ -129,6 +130,7 @@ def test_many_zeros_are_refused_and_left_out_by_the_key(
     assert max(row["sigma"] for row in report["signals"]) < 3e-4
 
 
+@pytest.mark.slow
 def test_gaps_of_six_milliseconds_cost_nothing(folder: Path, sound: dict[str, NDArray[Any]], tmp_path: Path) -> None:
     """85 of them in a measured recording: friction reverses and drives vibrate in it."""
     gaps = np.random.default_rng(1).choice(np.arange(40, 4900, 20), 85, replace=False)
@@ -148,6 +150,7 @@ def test_gaps_of_six_milliseconds_cost_nothing(folder: Path, sound: dict[str, ND
         assert np.sqrt(np.mean(difference**2)) < row["sigma"]
 
 
+@pytest.mark.slow
 def test_a_late_torque_gives_the_true_values_with_its_delay(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -168,6 +171,7 @@ def test_a_late_torque_gives_the_true_values_with_its_delay(
     assert abs(value - 0.85) < max(half, 3e-4)
 
 
+@pytest.mark.slow
 def test_a_cut_off_is_proposed_and_can_be_used(
     folder: Path, sound: dict[str, NDArray[Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

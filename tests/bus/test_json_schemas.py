@@ -74,7 +74,9 @@ CASES: dict[str, tuple[object, ...]] = {
 }
 
 
-@pytest.mark.slow(but=["[!p]*"])
+@pytest.mark.slow(
+    but=["bound", "bus*", "check", "compile*", "dbc", "estimate", "export", "fit", "import, questions", "import"]
+)
 @pytest.mark.parametrize("case", CASES)
 def test_the_output_of_a_command(case: str, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "output.json"
@@ -95,6 +97,7 @@ def test_the_output_of_explain(tmp_path: Path) -> None:
     hold("explain", json.loads((tmp_path / "verdict.json").read_text()))
 
 
+@pytest.mark.slow
 def test_the_output_of_listen(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "live.json"
     where = ("-i", "virtual", "-c", "test_schemas", "--idle", 1)

@@ -91,6 +91,7 @@ def test_frames_of_can_fd(name: str, arm: Arm, frames: Log, times: list[float], 
         run.check_cycles()
 
 
+@pytest.mark.slow
 def test_one_estimate(arm: Arm, noisy: Trajectory, tmp_path: Path) -> None:
     """Of a run that is long enough, from two formats that share nothing but their frames."""
     whole = encode(arm, noisy.cycles(0))[:4000]

@@ -191,6 +191,7 @@ def test_every_value_comes_to_its_place(recorded: Cycles, tmp_path: Path) -> Non
     np.testing.assert_allclose(got.tau, 0.5 * (recorded.tau[::2] + recorded.tau[1::2]), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_time_of_reception_jitters(recorded: Cycles, tmp_path: Path) -> None:
     """The other clock: its stamps are 1 ms apart from even ones, and the noise says so."""
     source = write(tmp_path / "my.mcap", recorded)
@@ -266,6 +267,7 @@ FORMS: list[dict[str, Any]] = [
 ]
 
 
+@pytest.mark.slow(only=["no chunks"])
 @pytest.mark.parametrize("form", FORMS, ids=["zstd", "lz4", "stored", "no chunks"])
 def test_a_cut_mcap_is_read_as_far_as_it_goes(
     recorded: Cycles, form: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -311,6 +313,7 @@ def test_a_chunk_that_is_damaged_is_skipped(recorded: Cycles, tmp_path: Path) ->
     assert report["breaks"] == 1 and got.sync[-1] == 199 and 150 < len(got) < 199
 
 
+@pytest.mark.slow
 def test_a_second_publisher_without_effort_is_left_out(tmp_path: Path) -> None:
     """The zeros of its positions are no samples of the arm."""
     cases = ROOT.parent / "shared" / "cases"
@@ -325,6 +328,7 @@ def test_a_second_publisher_without_effort_is_left_out(tmp_path: Path) -> None:
     assert max(signal["sigma"] for signal in report["signals"] if signal["unit"] == "rad") < 2e-4
 
 
+@pytest.mark.slow(only=["True*"])
 @pytest.mark.parametrize(("own_channel", "names"), [(True, ('"arm"', '"5"')), (False, ('"arm"', '"ghost"'))])
 def test_two_publishers_of_one_topic_are_named_and_chosen(
     own_channel: bool, names: tuple[str, str], recorded: Cycles, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -72,7 +72,7 @@ def as_number(text: str) -> float:
     return float(text.replace(",", "").replace("−", "-"))
 
 
-@pytest.mark.slow(but=["paper", "ground"])
+@pytest.mark.slow(but=["paper"])
 @pytest.mark.parametrize("name", ["paper", "lively", "gap", "ground"])
 def test_an_estimate_has_one_value_and_one_interval(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -93,6 +93,7 @@ def test_an_estimate_has_one_value_and_one_interval(
         assert [cell for cell in row if cell] == re.split(r"  +", line.strip())
 
 
+@pytest.mark.slow(only=["ground"])
 @pytest.mark.parametrize("name", ["paper", "ground"])
 def test_a_prediction_has_one_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = driven(tmp_path) if name == "ground" else flown(name, tmp_path)

@@ -78,7 +78,7 @@ def test_values_between_the_steps_are_no_frames() -> None:
         tool_module("pendulum").counts(np.array([0.0]), 12.5, 16)
 
 
-@pytest.mark.slow(but=["02"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_each_recording_becomes_a_run(name: str, tmp_path: Path) -> None:
     assert convert(name, tmp_path / "run.npz", "--json", tmp_path / "c.json") == 0
@@ -114,6 +114,7 @@ def test_a_window_that_is_too_long_on_board_is_used_on_the_ground(
         assert "a period_s of at least 0.00809" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["03"])
 def test_the_rates_are_those_that_the_drives_measured(name: str, tmp_path: Path) -> None:
     """Signs, sides and timing, by the velocities of the replies, which the map does not name: integrated and smoothed

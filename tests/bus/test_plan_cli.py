@@ -86,6 +86,7 @@ def springs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_motions_are_ranked_by_the_bound(springs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = (springs / "arm.toml", "--model", springs / "model.toml", springs / "short.toml", springs / "long.toml")
     given = ("--json", springs / "plan.json", "--report", springs / "plan.html")

@@ -54,7 +54,7 @@ def stdin(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], None]:
 # ---------------------------------------------------------------------------------------------- compressed, or UTF-16
 
 
-@pytest.mark.slow(but=[".log", ".csv"])
+@pytest.mark.slow(but=[".csv"])
 @pytest.mark.parametrize("suffix", [".log", ".blf", ".asc", ".npz", ".csv"])
 def test_a_compressed_run(suffix: str, brief: Log, arm: Arm, tmp_path: Path, stdin: Callable[[bytes], None]) -> None:
     """By its suffix, by its first bytes, in two parts, and on standard input."""
@@ -178,6 +178,7 @@ def test_several_interfaces(
     assert f"{copies or np.count_nonzero(frames['id'] == 0x080):,} frames came on two of them" in remark
 
 
+@pytest.mark.slow
 def test_two_interfaces_on_the_command_line(
     brief: Log, arm: Arm, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -311,6 +312,7 @@ SAME = (
 """One run of the example in four formats."""
 
 
+@pytest.mark.slow
 def test_four_cases_are_one_run(model: Any, arm: Arm) -> None:
     logs = [bus.read_log(case(name)) for name in SAME]
     assert [log.damage for log in logs] == [()] * 4

@@ -235,15 +235,7 @@ def named(found: Audit) -> list[str]:
     return [f"{one.signal} {one.fault}" for one in found.findings]
 
 
-@pytest.mark.slow(
-    but=[
-        "wraps *",
-        "unit in deg/s*",
-        "delay late by0",
-        "inverted inverted1",
-        "torque_law *",
-    ]
-)
+@pytest.mark.slow(but=["delay late by0", "torque_law *"])
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.remedy} {case.finding}" for case in CASES])
 def test_the_keys_remove_the_finding(
     case: Case, noisy: Trajectory, arm: Arm, tmp_path: Path, called: set[str], capsys: pytest.CaptureFixture[str]
@@ -298,6 +290,7 @@ def test_the_noise_of_a_torque(tmp_path: Path, called: set[str]) -> None:
     assert checked(tmp_path / "after", document, None, cycles, arm.period_s).ok
 
 
+@pytest.mark.slow
 def test_a_latch(arm: Arm, tmp_path: Path, called: set[str]) -> None:
     true = late(arm, 0, "motor_encoder", 20_000)
     model, scenario = load_model(EXAMPLE / "model.toml"), load_scenario(EXAMPLE / "scenario.toml")

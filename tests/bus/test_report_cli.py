@@ -98,6 +98,7 @@ def sound(page: Page) -> Page:
     return page
 
 
+@pytest.mark.slow(only=["check-arm"])
 @pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
 def test_a_page_is_whole_and_says_where_it_comes_from(name: str, brief_recording: Path, tmp_path: Path) -> None:
     log, file = brief_recording, tmp_path / "new" / "page.html"
@@ -118,6 +119,7 @@ def test_a_page_is_whole_and_says_where_it_comes_from(name: str, brief_recording
     assert page.data["charts"]
 
 
+@pytest.mark.slow(only=["check-arm"])
 @pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
 def test_a_table_of_cycles_has_a_page(name: str, brief_recording: Path, tmp_path: Path) -> None:
     """Its cycles are numbered as they are in the table."""
@@ -130,6 +132,7 @@ def test_a_table_of_cycles_has_a_page(name: str, brief_recording: Path, tmp_path
     assert all(min(x for x in times if x is not None) > 100_000 * 0.049 for times in page.data["times"].values())
 
 
+@pytest.mark.slow
 def test_an_estimate_is_the_same_with_a_page(brief_recording: Path, tmp_path: Path) -> None:
     for folder, more in (("plain", []), ("page", ["--report", tmp_path / "page.html"])):
         out = tmp_path / folder
@@ -138,6 +141,7 @@ def test_an_estimate_is_the_same_with_a_page(brief_recording: Path, tmp_path: Pa
         assert (tmp_path / "page" / file).read_bytes() == (tmp_path / "plain" / file).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_page_of_an_estimate_has_its_numbers_and_no_true_value(recording: Path, tmp_path: Path) -> None:
     file, answer = tmp_path / "page.html", tmp_path / "answer.json"
     given = command_of("estimate", recording, tmp_path)
@@ -193,6 +197,7 @@ def test_a_log_of_another_arm_has_a_page(name: str, brief_recording: Path, tmp_p
     assert "no whole cycle of this arm came" in page.text
 
 
+@pytest.mark.slow
 def test_an_arm_file_that_is_wrong_is_told_what_to_write(brief_recording: Path, tmp_path: Path) -> None:
     arm, file = tmp_path / "arm.toml", tmp_path / "page.html"
     arm.write_text(ARM.read_text().replace('side = "output", sign = 1', 'side = "output", sign = -1', 1))
@@ -203,6 +208,7 @@ def test_an_arm_file_that_is_wrong_is_told_what_to_write(brief_recording: Path, 
     assert {"angle-0", "torque-1", "gyro"} <= set(page.data["charts"])
 
 
+@pytest.mark.slow
 def test_a_stage_that_differs_is_marked_and_drawn(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,6 +229,7 @@ def test_a_stage_that_differs_is_marked_and_drawn(
     assert cycle == 705  # the instant 700 belongs to the cycle five later, where the smoother's window is full
 
 
+@pytest.mark.slow(only=["check-arm"])
 @pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
 def test_a_page_on_standard_output_is_alone_there(
     name: str, brief_recording: Path, tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
@@ -297,6 +304,7 @@ def test_the_ledger_leaves_over_what_the_estimate_says(recording: Path) -> None:
     assert found.arcs == result.arcs
 
 
+@pytest.mark.slow
 def test_the_ledger_has_a_constant_for_each_arc() -> None:
     """Arcs of 10 s at 200 Hz: at the origin of each the slip of the springs begins at zero anew. Of the run, the first
     30 s."""

@@ -33,7 +33,7 @@ def frames(arm: Arm, noisy: Trajectory) -> NDArray[np.void]:
     return encode(arm, noisy.cycles(0))
 
 
-@pytest.mark.slow(but=[".blf", ".log"])
+@pytest.mark.slow(but=[".log"])
 @pytest.mark.parametrize("suffix", bus.LOG_SUFFIXES)
 def test_logs(arm: Arm, frames: NDArray[np.void], tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"
@@ -55,6 +55,7 @@ def stranger(number: int) -> can.Message:
     return can.Message(arbitration_id=0x500, data=number.to_bytes(8, "little"), is_extended_id=False)
 
 
+@pytest.mark.slow
 def test_frames_of_others_do_not_count_as_ours(arm: Arm, frames: NDArray[np.void]) -> None:
     over = threading.Event()
 

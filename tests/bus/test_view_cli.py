@@ -92,6 +92,7 @@ def centre(mask: NDArray[np.bool_]) -> Floats:
     return np.array([columns.mean(), rows.mean()])
 
 
+@pytest.mark.slow
 def test_a_sheet_of_stills(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "deep" / "arm.png"
     assert run("view", log, "--model", MODEL, "--png", out) == 0
@@ -109,6 +110,7 @@ def test_a_sheet_of_stills(log: Path, tmp_path: Path, capsys: pytest.CaptureFixt
         assert (np.diff([centre(still) for still in row], axis=0) < -2.0).all()
 
 
+@pytest.mark.slow
 def test_one_still_shows_the_second_asked_for(log: Path, tmp_path: Path) -> None:
     sheets = {}
     for name, at in (("early", 0.0), ("same", 0.02), ("late", 5.0)):
@@ -172,6 +174,7 @@ def by_hand(q: Floats, turned: float) -> tuple[Floats, Floats]:
     return (np.array([z.real, z.imag, 0.0]) for z in (shoulder - still, elbow - still))  # type: ignore[return-value]
 
 
+@pytest.mark.slow
 def test_the_page_plays_the_run_without_a_network(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "arm.html"
     assert run("view", log, "--model", MODEL, "--html", out) == 0
@@ -207,6 +210,7 @@ def spatial(joints: int = 7) -> Arm:
     )
 
 
+@pytest.mark.slow(only=["7"])
 @pytest.mark.parametrize("joints", [1, 7])
 def test_a_spatial_arm_is_drawn(tmp_path: Path, joints: int) -> None:
     arm = spatial(joints)

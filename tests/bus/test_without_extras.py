@@ -34,6 +34,7 @@ def run(*arguments: object) -> int:
     return int(end.value.code or 0)
 
 
+@pytest.mark.slow
 def test_every_command_has_its_help(capsys: pytest.CaptureFixture[str]) -> None:
     for command in import_module("zygos.cli").COMMANDS:
         assert run(command, "--help") == 0

@@ -63,6 +63,7 @@ def test_names_an_effect_with_coarse_sensors(name: str) -> None:
     assert score(_case(lively(), name), 0, found)["right"], found.sentence
 
 
+@pytest.mark.slow
 def test_says_nothing_missing_with_the_limits() -> None:
     found = judge("lively", "null as drawn")
     assert found.answer == "nothing missing"

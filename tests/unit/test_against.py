@@ -68,6 +68,7 @@ def test_two_equal_states(case: Case) -> None:
     assert entry["wild"] == entry["wild_other"] == 0
 
 
+@pytest.mark.slow(only=["changes0*"])
 @pytest.mark.parametrize(
     ("changes", "worse"),
     [

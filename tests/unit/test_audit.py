@@ -87,7 +87,7 @@ def named(found: Audit) -> dict[str, str]:
     return {f.signal: f.fault for f in found.findings}
 
 
-@pytest.mark.slow(only=["10-*", "1-*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("seeds", "name"), [(2, "lively"), (1, "b"), (10, "lively"), (1, "a")])
 def test_a_clean_run_is_clean(seeds: int, name: str) -> None:
     arm = arm_of(name)
@@ -101,6 +101,7 @@ def test_a_clean_run_is_clean(seeds: int, name: str) -> None:
             assert abs(pair.skew_s) < max(4 * pair.skew_sigma_s, 1e-5)
 
 
+@pytest.mark.slow
 def test_a_smoother_that_flattens_the_motion_is_named_and_the_next_one_is_right() -> None:
     """Fine encoders on a fixed base: what the polynomial takes off the motion is more than is left of the noise."""
     (case,) = chosen(all_cases(ROOT / "examples"), ["fixed"])
@@ -181,8 +182,8 @@ FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
 
 
 QUICK_FAULTS = (
-    "lively-two at once", "b-elbow motor angle inverted", "b-shoulder link angle stuck?", "b-elbow torque dead",
-    "b-gyro z *ed", "b-shoulder link angle clipped", "b-torques swapped", "b-encoders of joint 1",
+    "lively-two at once", "b-shoulder link angle stuck?", "b-elbow torque dead",
+    "b-gyro z *ed", "b-shoulder link angle clipped", "b-encoders of joint 1",
 )  # fmt: skip
 
 
@@ -199,7 +200,7 @@ def test_a_fault_is_named_and_nothing_else(
         assert not found.ok
 
 
-@pytest.mark.slow(but=["1-0-q", "-1-1-theta"])
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["q", "theta"])
 @pytest.mark.parametrize("i", [0, 1])
 @pytest.mark.parametrize("power", [1, -1])
@@ -214,7 +215,7 @@ def test_a_gear_ratio_too_many_is_named(
         assert found == {signal: f"scaled by {50.0**power:.4g}"}
 
 
-@pytest.mark.slow(but=["lively-q-0-1", "b-theta-1--1"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "i", "sign"), [("q", 0, 1), ("q", 1, 1), ("theta", 0, -1), ("theta", 1, -1)])
 @pytest.mark.parametrize("name", ["lively", "b"])
 def test_a_zero_that_is_off_is_named_with_its_value(
@@ -240,6 +241,7 @@ def test_other_steps_than_declared_are_named(runs: dict[str, tuple[Arm, list[Cyc
             assert found.signals[0].step == pytest.approx(2 * np.pi / counts, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_declared_quantum_with_the_noise_of_interpolation_is_no_fault(
     runs: dict[str, tuple[Arm, list[Cycles]]],
 ) -> None:
@@ -316,6 +318,7 @@ def test_another_torque_law_is_named(name: str, seeds: int) -> None:
         assert named(audit(replace(arm, torque_law="sampled"), cycles)) in ({}, {"torques": "not sampled"})
 
 
+@pytest.mark.slow
 def test_signs_and_zeros_of_the_arm_file_count(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
     arm, clean = runs["b"]
     joints = list(arm.joints)
@@ -345,6 +348,7 @@ def test_wraps_are_named_and_no_gear_is_accused() -> None:
     assert f"before cycle {jumps[0]}" in found.findings[0].evidence and len(jumps) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "unit", "factor"),
     [("theta", "deg", 180.0 / np.pi), ("q", "counts", 1.0 / 0.003), ("theta", "turn", 0.5 / np.pi)],
@@ -359,6 +363,7 @@ def test_an_angle_in_another_unit(
     assert next(iter(found.values())).startswith(f"in {unit}, not in rad")
 
 
+@pytest.mark.slow(only=["rpm*", "deg/s*"])
 @pytest.mark.parametrize(("unit", "factor"), [("deg/s", 180.0 / np.pi), ("rpm", 30.0 / np.pi), ("mrad/s", 1e3)])
 def test_a_gyro_in_another_unit_is_not_turned(
     runs: dict[str, tuple[Arm, list[Cycles]]], unit: str, factor: float
@@ -370,7 +375,7 @@ def test_a_gyro_in_another_unit_is_not_turned(
     assert all(fault.startswith(f"in {unit}, not in rad/s") for fault in found.values())
 
 
-@pytest.mark.slow(but=["tau-columns0-2.0"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "columns", "periods"),
     [("tau", (0, 1), 2.0), ("tau", (0, 1), 1.4), ("tau", (0,), 1.5), ("omega", (0, 1, 2), 3.3)],
@@ -389,6 +394,7 @@ def test_a_delay_is_found_within_its_interval(
     assert {one.key for one in finding.settings} == {"delay_s"}
 
 
+@pytest.mark.slow
 def test_vibration_is_no_noise_and_noise_of_the_gyro_is(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
     """Content of 30 to 45 Hz in both encoders of a joint, 50 times their noise; and a gyro with three times its own."""
     arm, clean = runs["b"]
@@ -413,6 +419,7 @@ def test_white_noise_is_that_of_the_band_with_least() -> None:
         assert noise_level(motion + noise, [(0, len(t))]) > 3e-3
 
 
+@pytest.mark.slow
 def test_the_headline_says_what_is_open(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
     """A law that the run does not decide is in the headline, and the answer is not green; no signal is in doubt."""
     arm, clean = runs["b"]
@@ -522,6 +529,7 @@ def shift_of_best_correlation(late: np.ndarray, early: np.ndarray, h: float) -> 
     return float(minimize_scalar(unlike, bounds=(-0.02, 0.02), method="bounded", options={"xatol": 1e-7}).x)
 
 
+@pytest.mark.slow
 def test_the_encoders_of_a_measured_robot_are_skewed_by_3_ms(robot: tuple[Arm, Cycles]) -> None:
     arm, cycles = robot
     found = audit(arm, cycles)

@@ -75,6 +75,7 @@ def test_derivatives_are_differences_of_the_simulators_equations(base: str, kine
             assert error < 1e-6 * max(np.abs(expected).max(), size / motion.size[k]), arm.parameter_names[k]
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_period_are_differences_of_its_end() -> None:
     arm, model = random_arm(5, 2, "free", "planar", True)
     values = np.array(model.base_values(arm))
@@ -174,6 +175,7 @@ def dense(arm: Arm, relative: float) -> Floats:
     return np.asarray(np.linalg.norm(np.linalg.inv(triangle), axis=1) / scale[-p:] * np.abs(values))
 
 
+@pytest.mark.slow(only=["0.0-0.0"])
 @pytest.mark.parametrize(("relative", "zero"), [(0.0, 0.0), (0.02, 0.0), (0.0, 1e-3)])
 def test_the_bound_is_that_of_least_squares_over_everything_unknown(relative: float, zero: float) -> None:
     arm, model, scenario = moving(2.0)
@@ -191,6 +193,7 @@ def test_the_bound_is_that_of_least_squares_over_everything_unknown(relative: fl
     np.testing.assert_allclose(found.sigma, dense(arm, relative), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_known_motion(clean: Callable[[], Trajectory], monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures of a prototype in another language, which differentiated other equations automatically."""
     monkeypatch.setattr(module, "simulate", lambda *_, **__: clean())

@@ -104,6 +104,7 @@ def test_a_change_is_found(change: Any, flight: Flight) -> None:
     assert check(flight) == CHANGES[change]
 
 
+@pytest.mark.slow
 def test_a_restart_heals_sums_and_tables(flight: Flight) -> None:
     """Whatever was changed but the configuration: behind it the rest of the run gives the bits of an arm that restarted
     without an upset."""
@@ -134,6 +135,7 @@ def test_a_restart_refuses_a_configuration_that_cannot_be(flight: Flight) -> Non
     assert check(flight) == 1
 
 
+@pytest.mark.slow
 def test_a_state_that_was_sealed_corrupt_is_refused(flight: Flight, tmp_path: Path) -> None:
     path = tmp_path / "state.zyg"
     a_sum(flight)

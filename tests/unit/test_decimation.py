@@ -48,6 +48,7 @@ def test_what_would_appear_as_slow_motion_is_reduced(cycles_per_period: float) -
     assert np.max(np.abs(averaged(track, at, PERIOD).value)) < 0.04
 
 
+@pytest.mark.slow(only=["20.0"])
 @pytest.mark.parametrize("ratio", [3.0, 20.0])
 def test_the_declared_noise_is_that_of_smoothed_rates(arm: Arm, ratio: float) -> None:
     """White noise keeps its density: the rate that a smoother finds is as uncertain as the arm file of the run says."""

@@ -281,7 +281,7 @@ def balance_left_over(one: Effect, *acting: Effect) -> tuple[Floats, Floats]:
     return rest - rest.mean(), rows[:, p] - rows[:, p].mean()
 
 
-@pytest.mark.slow(but=[f"{QUICK}-elbow"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "joint"), [*((key, "elbow") for key in SIZES), ("motor_coulomb", "shoulder"), ("torque_lag", "shoulder")]
 )
@@ -316,7 +316,7 @@ def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
     return rooms
 
 
-@pytest.mark.slow(but=["three joints, all", "two joints, all", "one joint, all"])
+@pytest.mark.slow(but=["one joint, all"])
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if not case.far])
 def test_c_equals_numpy_with_effects(name: str) -> None:
     """As many as the build holds, other ones at other arms."""
@@ -510,6 +510,7 @@ def test_a_motor_encoders_zero_that_is_off_by_a_milliradian(modern: Trajectory, 
     assert np.all(np.abs(found.value[12:] - expected) <= 5.0 * found.sigma[12:])
 
 
+@pytest.mark.slow(only=["1"])
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_link_encoders_zero_turns_the_bodies_behind_it(tmp_path: Path, joint: int) -> None:
     """The offset takes what it does to the spring; what the arm then looks like is no planar-symmetric one, but a

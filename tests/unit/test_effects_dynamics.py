@@ -242,6 +242,7 @@ def test_power_balance_and_momentum(key: str, value: float, joint: int, rigid: b
         assert abs(rates_of(dynamics, s, tau, momentum)) <= 1e-6 * dynamics.a.max() * (1.0 + turned)
 
 
+@pytest.mark.slow(only=["rigid1", "rigid0"])
 @pytest.mark.parametrize("rigid", [(), (0,), (0, 1)])
 def test_a_run_without_losses_keeps_energy_and_momentum(rigid: tuple[int, ...]) -> None:
     """A quarter of a second of free motion of an arm whose rotors do not couple, with a cubic spring."""

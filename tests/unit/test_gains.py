@@ -189,6 +189,7 @@ def test_a_refinement_finds_the_gain(cycles: Cycles) -> None:
     assert float(np.max(np.abs(without.value - true) / without.sigma)) > 10.0
 
 
+@pytest.mark.slow
 def test_a_refinement_on_board_finds_the_gain(cycles: Cycles) -> None:
     arm, true = _noisy_torques()
     wrong = _with_noise(reported(cycles, 1.0, 1.01))

@@ -93,7 +93,7 @@ def scores(found: Study, name: str) -> tuple[float, float, list[float]]:
     return float(found.of(wider).of(name)), float(null_sigmas(found, [name])[0]), z
 
 
-@pytest.mark.slow(but=["standing"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["spatial", "standing"])
 def test_a_run_that_lacks_nothing_closes_as_its_twin(name: str) -> None:
     found = study(name)
@@ -107,7 +107,7 @@ def test_a_run_that_lacks_nothing_closes_as_its_twin(name: str) -> None:
         assert min(abs(x) for x in z) < limits.NAMED_Z.value
 
 
-@pytest.mark.slow(but=["motor_coulomb2-standing"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("column", "name"), [(column, name) for column, sizes in SIZE.items() for name in sizes])
 def test_what_is_hidden_stands_out_with_its_size(name: str, column: str) -> None:
     value = SIZE[column][name]
@@ -193,6 +193,7 @@ def test_what_pairs_of_columns_take_away() -> None:
     assert np.all(shares >= np.maximum(alone[:, None], alone) - 1e-9) and alone.min() < shares.max() - 1e-3
 
 
+@pytest.mark.slow
 def test_false_alarms_are_as_rare_as_stated() -> None:
     """Readings of the twins with seeds of their own stand for runs that lack nothing: a rate that is asked for holds
     for scores as the search has them, each run's coefficient in deviations of its twin's readings."""
@@ -226,6 +227,7 @@ def test_false_alarms_are_as_rare_as_stated() -> None:
     assert alarms < int(((np.abs(z).min(axis=0) > alone) & (z[0] * z[1] > 0.0)).any(axis=1).sum())
 
 
+@pytest.mark.slow
 def test_predictions_of_an_arm_on_the_ground() -> None:
     """Half a second ahead the true model is as good as its own twin; it has no signals of a base."""
     (record, _), trial = records("standing", "", 0.0), trial_of("standing")

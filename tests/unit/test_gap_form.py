@@ -69,6 +69,7 @@ def slowly(_: Array, qd: Array) -> Array:
     return np.asarray(np.tanh(qd / 0.3))
 
 
+@pytest.mark.slow(only=["at_once*"])
 @pytest.mark.parametrize(("sign", "least", "most"), [(at_once, 0.0, 0.02), (slowly, 0.03, 0.2)])
 def test_the_size_that_a_form_leaves_open_on_the_ground(
     sign: Law, least: float, most: float, monkeypatch: pytest.MonkeyPatch
@@ -94,6 +95,7 @@ def test_the_size_that_a_form_leaves_open_on_the_ground(
     assert abs(finding.value - of_torque) < 2.0 * finding.sigma
 
 
+@pytest.mark.slow
 def test_a_law_along_a_run() -> None:
     """What the parts of a law are weighted by: the torque per unit at every smoothed instant, and the rate."""
     study, _ = sized("column")

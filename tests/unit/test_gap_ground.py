@@ -55,6 +55,7 @@ def _coulomb(share: float) -> Law:
     return lambda q, qd: share * size() * sign(qd)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "offset"), [(0.0, 0.0), (1.0, 0.1)])
 def test_nothing_is_missing_whatever_the_offset_of_the_torque(noise: float, offset: float) -> None:
     x = _lacking(noise=noise, offset=offset * size())
@@ -68,7 +69,7 @@ def test_seeds_without_an_effect_have_no_name() -> None:
     assert {_lacking(seed=seed, offset=0.01 * seed).answer for seed in range(1, 7)} == {"nothing missing"}
 
 
-@pytest.mark.slow(but=["1.0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_coulomb_friction_then_viscous_friction_that_differs_between_the_directions(noise: float) -> None:
     c, forward, backward = 0.1 * size(), 0.08 * size(), 0.03 * size()
@@ -119,6 +120,7 @@ def test_an_offset_that_stays_at_rest_is_an_offset() -> None:
     assert any("also at rest" in note for note in x.notes)
 
 
+@pytest.mark.slow
 def test_a_law_that_is_not_exactly_that_of_the_catalogue_is_named_in_part() -> None:
     x = _bent()
     assert x.answer == "part named", x.sentence
@@ -176,12 +178,14 @@ def test_what_the_twin_shows_as_well_is_no_effect() -> None:
     assert {(f.kind, f.joint) for f in x.findings} == {("load_friction", "joint1"), ("load_friction", "joint2")}
 
 
+@pytest.mark.slow
 def test_a_torque_of_the_angle_is_unknown() -> None:
     x = _lacking(lambda q, qd: 0.05 * size() * np.sin(7.0 * q))
     assert (x.answer, x.model) == ("unknown", None), x.sentence
     assert x.remedy
 
 
+@pytest.mark.slow
 def test_a_friction_of_the_simulation_that_is_too_large_and_a_wrong_body_are_values() -> None:
     arm, model = axis()
     base = model.base_parameters(arm)
@@ -191,6 +195,7 @@ def test_a_friction_of_the_simulation_that_is_too_large_and_a_wrong_body_are_val
     assert [value.name for value in x.values if value.differs] == ["mz1"]
 
 
+@pytest.mark.slow
 def test_a_friction_that_begins_in_the_second_run_is_a_change() -> None:
     x = _lacking([nothing, _coulomb(0.1), _coulomb(0.1)])
     assert x.answer == "changed", x.sentence
@@ -210,6 +215,7 @@ def test_torques_that_are_reported_late_are_timing_first() -> None:
     assert x.verdict.periods == pytest.approx(-2.0, abs=0.1)  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 def test_motor_currents_are_turned_into_torques() -> None:
     arm, model = axis()
     amps = replace(arm, torque_unit="A", joints=(replace(arm.joints[0], torque_sigma=0.0),))
@@ -223,6 +229,7 @@ def test_motor_currents_are_turned_into_torques() -> None:
     assert any("motor currents" in note for note in x.notes)
 
 
+@pytest.mark.slow
 def test_a_single_run_is_cut_into_thirds() -> None:
     arm, model = axis()
     x = explain_ground(arm, model, measured(_coulomb(0.1), seconds=2.0 * SECONDS)[:1])
@@ -286,7 +293,7 @@ def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_pa
     assert shares[1][1] < 0.18
 
 
-@pytest.mark.slow(but=["0.0-*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("inertia", "answer"), [(0.0, "named"), (1e-12, "values differ")])
 def test_a_rotor_without_inertia_is_found_as_such(inertia: float, answer: str) -> None:
     """A drawing may say that it has none, and no friction is named in its place."""

@@ -70,6 +70,7 @@ def scores(found: Study, name: str) -> tuple[float, list[float]]:
     return float(found.of(wider).of(name)), z
 
 
+@pytest.mark.slow
 def test_nothing_stands_out_where_nothing_is_hidden() -> None:
     found = begun(TRIAL, flown("nothing"), OWN)
     assert np.all(np.abs(found.excess**2 - 1.0) < np.maximum(0.3, 4.0 * found.wobble))

@@ -146,6 +146,7 @@ def sound(page: Page) -> None:
         assert text in page.text
 
 
+@pytest.mark.slow
 def test_named(tmp_path: Path, friction: Explanation) -> None:
     page = Page(tmp_path, friction)
     sound(page)

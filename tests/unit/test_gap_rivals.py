@@ -68,6 +68,7 @@ def test_a_law_whose_size_differs_between_runs_is_not_exactly_what_was_named() -
     assert unsteady(named(COULOMB, COULOMB)) == ()
 
 
+@pytest.mark.slow
 def test_runs_that_agree_on_a_size_must_agree_with_all_of_them_together() -> None:
     """Drag on the base looks like friction at the link of each run, whose other coefficients make up for the rest."""
     study = before(DRAG)

@@ -104,6 +104,7 @@ def test_a_name_without_a_sign_is_left_out_beside_one_that_has_it(
     assert isinstance(answer.verdict, PartNamed) == all(one.signed for one in answer.findings)
 
 
+@pytest.mark.slow
 def test_a_name_is_struck_with_all_that_stood_beside_it(found: Search) -> None:
     less = struck(found, found.named[1])
     assert [one.name for one in less.named] == [REAL]

@@ -53,6 +53,7 @@ def strayed(found: Study) -> float:
     return float(np.max(each))
 
 
+@pytest.mark.slow
 def test_torque_sensors_that_are_off_do_not_lead_the_twin_astray() -> None:
     right, off = study((0.0, 0.0), (0.0, 0.0)), study(OFFSET, GAIN)
     at = [off.layout.zeros.index(f"torque_zero{i + 1}") for i in (0, 1)]

@@ -60,6 +60,7 @@ def _within(found: GroundEstimate, truth: np.ndarray[tuple[int], np.dtype[np.flo
     return float(np.mean(np.abs(found.solution.value - truth) > found.solution.half(0.95)))
 
 
+@pytest.mark.slow
 def test_two_runs_with_different_offsets_give_one_arm() -> None:
     arm, model, first, second = _setup(2)
     found = estimate_ground([first, second])
@@ -87,6 +88,7 @@ def test_intervals_hold_over_seeds() -> None:
     assert np.mean(beyond) <= 0.001 + 3.0 * np.sqrt(0.001 / (16 * 20))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "noise"), [(0.05, 1.0), (0.0, 5.0)])
 def test_an_offset_or_loud_torques_leave_good_parameters_good(offset: float, noise: float) -> None:
     arm, model, *_ = _setup(2)
@@ -99,6 +101,7 @@ def test_an_offset_or_loud_torques_leave_good_parameters_good(offset: float, noi
     assert _within(found, _truth(found, model)) <= 0.2
 
 
+@pytest.mark.slow
 def test_a_model_predicts_a_run_that_it_never_saw() -> None:
     _, model, _, second = _setup(2)
     true, own = score(second, model), score(second, _learned())
@@ -112,13 +115,14 @@ def test_a_model_predicts_a_run_that_it_never_saw() -> None:
     assert abs(true.joints[1].offset_nm - 100.0 * 0.01) < 0.1
 
 
+@pytest.mark.slow
 def test_a_wrong_model_is_seen_at_its_joint() -> None:
     _, model, first, _ = _setup()
     wrong = heavier(model, 1.0, (0.0, 0.0, 0.1))
     assert score(first, wrong).joints[2].share > 5.0 * score(first, model).joints[2].share
 
 
-@pytest.mark.slow(but=["more1-*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "key", "place", "size"),
     [
@@ -163,6 +167,7 @@ def test_currents_give_ratios_only_and_say_so(tmp_path: Path) -> None:
             refused()
 
 
+@pytest.mark.slow
 def test_friction_that_comes_out_negative_by_noise_can_be_read_back(tmp_path: Path) -> None:
     """Of an arm without friction: its model is a file that every command reads."""
     arm, model = short_arm(2)
@@ -175,6 +180,7 @@ def test_friction_that_comes_out_negative_by_noise_can_be_read_back(tmp_path: Pa
     assert all(effect.value >= 0.0 for effect in load_model(tmp_path / "model.toml").effects)
 
 
+@pytest.mark.slow
 def test_a_payload_is_weighed() -> None:
     arm, model, *_ = _setup()
     place = (0.05, -0.02, 0.2)
@@ -191,6 +197,7 @@ def test_a_payload_is_weighed() -> None:
     assert all(one.floor < 1.1 for one in after.joints)
 
 
+@pytest.mark.slow
 def test_friction_is_averaged_as_the_torques_of_a_faster_recording() -> None:
     """A reversal falls somewhere into its period: a mean torque has seen it there, and the sign of a rate at the
     instants has not. Without noise, what the values have wrong becomes a third."""
@@ -232,7 +239,7 @@ def test_the_interval_of_a_payload_holds_the_uncertainty_of_the_model() -> None:
     assert held / count > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / 16), (held, count)  # values of one seed are correlated
 
 
-@pytest.mark.slow(but=["torque_gain*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "value"), [("torque_gain", 0.2), ("load_friction", 0.1)])
 def test_a_payload_beside_a_wrong_gain_or_friction_with_the_load(key: str, value: float) -> None:
     """What the model says of the torques holds with the payload, too."""
@@ -308,6 +315,7 @@ def test_no_payload_is_no_payload() -> None:
         payload([replace(first, arm=blind)], model)
 
 
+@pytest.mark.slow
 def test_what_is_no_noise_is_named() -> None:
     arm, model, *_ = _setup(2)
     run = recorded(arm, model, path=3, seed=0, seconds=10.0, more={"load": 0.3})
@@ -407,6 +415,7 @@ def test_joined_runs_have_a_gap_between() -> None:
     assert joined([first]) is first
 
 
+@pytest.mark.slow
 def test_a_joint_whose_torque_is_hardly_more_than_noise_is_not_evaluated() -> None:
     """Its error in per cent would say nothing of the model, which is right."""
     arm, model, *_ = _setup(2)
@@ -422,6 +431,7 @@ def test_a_joint_whose_torque_is_hardly_more_than_noise_is_not_evaluated() -> No
     assert found.as_dict()["joints"][1]["evaluated"] is False
 
 
+@pytest.mark.slow
 def test_a_joint_that_noise_dominates_does_not_decide_an_estimate() -> None:
     """All of its torque is left, which says nothing of the other joint."""
     arm, model, *_ = _setup(2)
@@ -488,6 +498,7 @@ def test_gravity_is_not_blamed_because_it_needs_a_large_offset(monkeypatch: pyte
     assert found.validity == "doubtful" and found.elsewhere is None, found.reason
 
 
+@pytest.mark.slow
 def test_one_joint_of_which_most_is_left_makes_an_estimate_doubtful() -> None:
     """The mean over the joints may be small."""
     arm, model, *_ = _setup()

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from ground_support import recorded, short_arm
 
 from zygos.gap.predict import predict
@@ -35,6 +36,7 @@ def _data(text: str) -> dict[str, Any]:
     return dict(json.loads(text[begin : text.index("</script>", begin)]))
 
 
+@pytest.mark.slow
 def test_an_estimate_shows_what_it_says(tmp_path: Path) -> None:
     found, _ = _found()
     write_page(tmp_path / "page.html", estimate_answer(found, written="learned.toml written", draw=True), NOWHERE)
@@ -78,6 +80,7 @@ def test_a_hostile_name_stays_text(tmp_path: Path) -> None:
     assert hostile not in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_predictions_of_two_runs(tmp_path: Path) -> None:
     found, model = _found()
     write_page(tmp_path / "page.html", answer_of([predict(model, run) for run in found.runs], draw=True), NOWHERE)

@@ -31,6 +31,7 @@ def _setup() -> tuple[Arm, Model, Run, Run]:
     return arm, model, first, second
 
 
+@pytest.mark.slow
 def test_batch_least_squares_finds_arm_and_offsets() -> None:
     arm, model, first, second = _setup()
     effects = friction(arm, [CATALOGUE[key] for key in ("motor_coulomb", "motor_viscous")])

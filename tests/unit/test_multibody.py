@@ -227,6 +227,7 @@ def test_a_copy_in_another_process_moves_alike() -> None:
     np.testing.assert_array_equal(np.hstack(copied.accelerations(*samples[0])), np.hstack(before))
 
 
+@pytest.mark.slow(only=["free-12"])
 @pytest.mark.parametrize("joints", [1, 3, 12])
 @pytest.mark.parametrize("base", ["free", "fixed"])
 def test_memory_is_what_it_says(joints: int, base: str) -> None:
@@ -279,7 +280,7 @@ def test_nothing_is_shared_with_the_library_that_estimates() -> None:
 SHIPPED = {"spatial": (0.01, 0.06, 1.0), "seven": (0.004, 0.012, 0.4)}
 
 
-@pytest.mark.slow(but=["spatial"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_simulation_errs_by_less_than_it_may(name: str) -> None:
     """Against DOP853 on numpy's equations at a tighter tolerance; and longer against itself at that tolerance.
@@ -305,6 +306,7 @@ def test_a_simulation_errs_by_less_than_it_may(name: str) -> None:
     assert far(run(beside_s, Multibody, rtol=1e-5, atol=1e-7), short) > BOUND
 
 
+@pytest.mark.slow
 def test_laws_in_python_move_an_arm_in_space() -> None:
     arm, model, scenario = example("spatial")
     arm = arm.at_period(0.01)
@@ -326,6 +328,7 @@ def test_laws_in_python_move_an_arm_in_space() -> None:
     np.testing.assert_array_equal(moved.q[0], moved.q[1])
 
 
+@pytest.mark.slow
 def test_a_motion_that_no_number_follows_is_refused() -> None:
     """Gains far too high for the sample rate: NaN and infinity end in a message, not in a result."""
     arm, model, scenario = example("spatial")

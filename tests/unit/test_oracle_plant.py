@@ -82,6 +82,7 @@ def test_nothing_is_shared_with_the_plant_of_the_package() -> None:
         assert {name for name in imported if name and name.startswith("zygos")} <= readers
 
 
+@pytest.mark.slow
 def test_a_motion_conserves_energy_and_momentum() -> None:
     arm, model, scenario = example()
     plant = MujocoPlant(arm, model)
@@ -236,6 +237,7 @@ def test_readings_are_whole_quanta() -> None:
     assert not np.array_equal(other.offset, motion.offset)
 
 
+@pytest.mark.slow
 def test_the_gyro_errs_as_declared() -> None:
     arm, model, scenario = example()
     noisy = replace(arm, imu=replace(arm.imu, rate_sigma=1e-4, bias_walk=0.0))

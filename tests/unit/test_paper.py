@@ -200,6 +200,7 @@ def test_noise_of_32_has_the_printed_variances() -> None:
 # Figure 4
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 def test_the_response_is_that_of_pinocchio_and_another_integrator() -> None:
     """Under (50), written out a second time."""

@@ -112,6 +112,7 @@ def test_without_noise_any_drawing_leads_to_the_arm(spatial: tuple[Arm, Model]) 
         assert [body.joint_xyz for body in fit.model.bodies] == [body.joint_xyz for body in built.bodies]
 
 
+@pytest.mark.slow
 def test_what_the_estimate_does_not_say_stays_as_drawn(spatial: tuple[Arm, Model]) -> None:
     arm, built = spatial
     drawing = drawing_of(built, 3)
@@ -125,7 +126,7 @@ def test_what_the_estimate_does_not_say_stays_as_drawn(spatial: tuple[Arm, Model
     assert fit.known["yaw stiffness"] > 0.9999
 
 
-@pytest.mark.slow(but=["2-fixed-spatial-*", "2-free-planar-flexible1", "1-*"])
+@pytest.mark.slow(but=["2-free-planar-flexible1"])
 @pytest.mark.parametrize(
     ("joints", "base", "kinetic", "flexible"),
     [

@@ -256,6 +256,7 @@ def test_motions_are_ranked_by_the_bound_of_each() -> None:
         ranked([tight.expected(fast), expected[0]])
 
 
+@pytest.mark.slow
 def test_the_given_noise_of_the_torques_is_that_of_the_bound() -> None:
     arm, model, scenario = _short()
     given = Planner(arm, model, limits_of(arm, None, None, None), np.array([0.5, 1.0]), "bound").expected(scenario)
@@ -300,6 +301,7 @@ def test_what_has_no_bound_is_not_ranked_by_it() -> None:
             Planner(rigid, solid, limits_of(rigid, None, None, None), np.full(2, SIGMA), "bound")
 
 
+@pytest.mark.slow
 def test_a_fixed_base_without_mass_can_be_exported() -> None:
     arm, model = laboratory_arm("UR10e", friction=False)
     arm = replace(arm, joints=arm.joints[:3])

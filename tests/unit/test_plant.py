@@ -26,7 +26,7 @@ def energy_terms(trajectory: Trajectory) -> tuple[Floats, Floats]:
     return stored - stored[:, :1] + spent, work
 
 
-@pytest.mark.slow(only=["120.0-*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("duration", "period", "seeds"), [(20.05, None, range(2)), (120.0, None, [0]), (7.0, 0.01, [0])]
 )
@@ -42,6 +42,7 @@ def test_energy_and_momentum_close(duration: float, period: float | None, seeds:
     assert np.abs(h - 1.0).max() < (1e-8 if duration < 100.0 else 1e-7)
 
 
+@pytest.mark.slow
 def test_energy_and_momentum_close_for_seven_joints() -> None:
     arm, model = random_arm(np.random.default_rng(3), 7, "planar")
     scenario = replace(
@@ -184,6 +185,7 @@ def test_late_latches_read_later_angles() -> None:
     assert np.abs(run.q_latched - run.q).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_accelerations_are_the_slopes_after_sync() -> None:
     arm, model, scenario = lively()
     run = simulate(arm, model, scenario, duration_s=0.4, period_s=0.001, noise=False)

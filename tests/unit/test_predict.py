@@ -31,7 +31,7 @@ def flown(name: str, seed: int) -> tuple[Model, Run]:
     return model, Run.of_cycles(arm, flight.cycles())
 
 
-@pytest.mark.parametrize("name", ["paper", "lively", pytest.param("spatial", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_true_model_leaves_noise_alone(name: str) -> None:
     model, run = flown(name, seed=1)
     found = predict(model, run)
@@ -40,6 +40,7 @@ def test_the_true_model_leaves_noise_alone(name: str) -> None:
     assert all(0.6 < one.sigmas < 1.4 for one in found.torques.joints)
 
 
+@pytest.mark.slow
 def test_a_wrong_spring_is_seen_in_the_motion_and_not_in_the_torque() -> None:
     model, run = flown("lively", seed=1)
     first = model.joints[0]
@@ -62,6 +63,7 @@ def test_a_model_that_no_arm_has_predicts_torques_alone() -> None:
     assert np.isfinite(found.gap)
 
 
+@pytest.mark.slow
 def test_a_joint_at_rest_is_scored_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """What friction holds there is anybody's guess: it must not count as an error of the model."""
     arm, model = short_arm(2)

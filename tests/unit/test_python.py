@@ -75,6 +75,7 @@ def test_users_of_mypy_see_types(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------ runs and arrays
 
 
+@pytest.mark.slow
 def test_a_run_has_readings_and_no_truth(simulation: zygos.Simulation, run: zygos.Run) -> None:
     n, joints = len(run), run.arm.n
     assert run.t.shape == (n,) and run.q.shape == run.theta.shape == run.tau.shape == (n, joints)
@@ -273,6 +274,7 @@ def test_what_the_run_does_not_tell_is_said(simulation: zygos.Simulation) -> Non
     assert "no solution to compare" in compared.unsolved
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_described_wrongly_is_seen(run: zygos.Run) -> None:
     wrong = zygos.make_run(run.arm, q=run.q[:, ::-1], theta=run.theta, tau=run.tau, omega=run.omega)
     assert zygos.check_arm(run).ok

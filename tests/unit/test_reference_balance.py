@@ -34,6 +34,7 @@ def balance_of(arm: Arm, cycles: Cycles) -> EnergyRows:
     return energy_rows(arm, samples, smooth(arm, samples))
 
 
+@pytest.mark.slow
 def test_rows_balance_with_the_true_parameters(arm: Arm, motion: Motion) -> None:
     """z . pi - W is a constant of the arc, to what the filters lose at the torque steps."""
     balance = balance_of(arm, motion.cycles())

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from conftest import ROOT, tool_module
 from zygos.errors import ZygosError
 
@@ -82,6 +84,7 @@ def said_without(file: Any, path: Path, leaf: tuple[Any, ...]) -> str:
     return ""
 
 
+@pytest.mark.slow
 def test_the_pages_say_which_keys_are_required() -> None:
     """Without a key that is required the reader refuses the file; without another it does not ask for it. Of the places
     where the same is stated of a key the first is tried."""

@@ -91,6 +91,7 @@ def test_scatter_is_unbiased_where_few_blocks_have_the_information() -> None:
     assert np.all(3.0 * error < 0.2 * np.sqrt(np.outer(np.diag(expected), np.diag(expected))))
 
 
+@pytest.mark.slow
 def test_scatter_is_honest_where_neighbours_share_noise() -> None:
     """Noise constant over ten rows: sigmas from long blocks match the spread of repeated trials, from rows do not."""
     rng = np.random.default_rng(3)

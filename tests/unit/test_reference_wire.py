@@ -249,6 +249,7 @@ def test_silence_of_the_fine_time_leaves_every_cycle_alone(arm: Arm) -> None:
     assert set(reception.cycles.flags) == {0, 1}
 
 
+@pytest.mark.slow
 def test_a_silence_does_not_forget_the_last_fine_time(arm: Arm) -> None:
     """An outage of 240 cycles within a silence is found by the FTIME that ends it."""
     log = [[f for f in cycle if f.id != 0x3A0 or i in (0, 400)] for i, cycle in enumerate(log_of(arm, 450))]

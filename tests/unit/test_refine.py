@@ -112,6 +112,7 @@ def test_a_complete_model_is_published_near_the_bound() -> None:
     assert "zygos" in {one.source for one in answer.to_model().parameters.values()}
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_followed_motion_is_that_of_the_true_one() -> None:
     half = len(short()) // 2
     (best,) = bound(SHORT.arm, TRUTH, replace(SCENARIO, duration_s=half * SHORT.arm.period_s))
@@ -130,6 +131,7 @@ def test_the_bound_of_a_followed_motion_is_that_of_the_true_one() -> None:
     np.testing.assert_allclose(twice.sigma, along.sigma / np.sqrt(2.0), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_several_runs_give_one_estimate_also_with_lost_cycles_and_long_gaps() -> None:
     """Two parts of a run know as much as the whole, but for the state with which each piece begins. Lost cycles are
     bridged, and a long gap begins a piece."""
@@ -146,6 +148,7 @@ def test_several_runs_give_one_estimate_also_with_lost_cycles_and_long_gaps() ->
     assert np.all(ratio > 0.99) and np.all(ratio < 1.5)
 
 
+@pytest.mark.slow
 def test_the_torque_law_says_when_a_torque_acted_and_a_stated_momentum_says_nothing() -> None:
     """Torques that are reported a cycle later, for the cycle before, give the same estimate. A model that
     `zygos explain` wrote states a momentum; the rates of the base are followed, whatever momentum they have."""
@@ -179,7 +182,7 @@ def test_friction_zeros_and_a_level_below_the_declared_one_are_found() -> None:
     assert answer.level[0] == pytest.approx(0.001, rel=0.2)
 
 
-@pytest.mark.slow(but=["0.0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 def test_encoders_that_are_mounted_to_a_step_do_no_harm(noise: float) -> None:
     """Zeros that are off by up to half of a step, of which the arm file says nothing. Torques without noise are found
@@ -286,7 +289,7 @@ def test_a_filter_that_resumes_keeps_what_does_not_move() -> None:
 # ------------------------------------------------------------------------------------------ refusals
 
 
-@pytest.mark.slow(but=["delay", "cubic*"])
+@pytest.mark.slow(but=["delay"])
 @pytest.mark.parametrize(
     ("case", "rule"),
     [

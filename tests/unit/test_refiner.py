@@ -137,6 +137,7 @@ def test_c_is_numpy(base: str, kinetic: str) -> None:
     np.testing.assert_allclose(np.diag(found), np.diag(expected), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_errors_reach_the_bound_and_are_as_large_as_stated() -> None:
     arm, model, scenario = lively()
     (best,) = bound(arm, model, replace(scenario, duration_s=SECONDS), [RELATIVE])

@@ -171,6 +171,7 @@ def test_one_cause_has_one_remedy(lever: Arm) -> None:
         assert said.endswith("a slower motion: 860 of 2,489 instants failed the bandwidth test")
 
 
+@pytest.mark.slow
 def test_a_longer_window_helps_against_noise(lever: Arm) -> None:
     """What is proposed is carried out: with 31 points in place of 7, the motion stands out of coarse encoders."""
     coarse = Encoder(0.016)
@@ -204,6 +205,7 @@ def test_a_log_of_another_machine_has_no_frames_of_the_arm(tmp_path: Path, capsy
         read_measured_run(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
 
 
+@pytest.mark.slow(only=["one", "explain"])
 @pytest.mark.parametrize(
     "command",
     [

@@ -35,7 +35,7 @@ def faults(found: Audit) -> dict[str, str]:
     return {one.signal: one.fault for one in found.findings}
 
 
-@pytest.mark.slow(but=["3-*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("joints", "seed"), [(THREE, 0), (SEVEN, 0), (SEVEN, 1)])
 def test_correct_torques_are_never_accused(joints: int, seed: int) -> None:
     """Gravity, coupling, friction, offsets and 1 % of noise; every sign and place is confirmed."""

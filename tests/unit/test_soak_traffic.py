@@ -24,6 +24,7 @@ def at_rest(arm: Arm, first: int) -> Cycles:
     return Cycles(sync, table, table, table, np.zeros((CYCLES, 3)), np.zeros(CYCLES, dtype=np.uint32))
 
 
+@pytest.mark.slow(only=["0.0-0.01"])
 @pytest.mark.parametrize(("lost", "stale"), [(0.0, 0.0), (0.0, 1e-2), (0.02, 0.02), (0.2, 0.1)])
 def test_the_book_counts_what_c_and_numpy_count(arm: Arm, lost: float, stale: float) -> None:
     rng, book, flight = np.random.default_rng(3), Book(2 * arm.n + 2), Flight(arm)
@@ -44,6 +45,7 @@ def test_the_book_counts_what_c_and_numpy_count(arm: Arm, lost: float, stale: fl
     assert book.cycles == flight.counts["cycles"] == len(reference.cycles)
 
 
+@pytest.mark.slow
 def test_the_book_after_a_snapshot(arm: Arm, tmp_path: Path) -> None:
     """The cycle that is open then is lost."""
     rng, book, flight = np.random.default_rng(4), Book(2 * arm.n + 2), Flight(arm)

@@ -200,6 +200,7 @@ def estimate_of(arm: Arm, cycles: Cycles, bodies: NDArray[np.float64]) -> Estima
     return estimate
 
 
+@pytest.mark.slow
 def test_bodies_without_their_rotors_must_have_energy_in_every_motion() -> None:
     """A matrix of the bodies with one eigenvalue near zero, with the rotors on it: valid above zero, refused below."""
     arm = replace(awkward(8, 3, "spatial", (True, True, True)), impulse_arc_s=0.0, compensate_every=0)

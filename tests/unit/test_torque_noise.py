@@ -37,6 +37,7 @@ def walk(name: str, sigma: float, share: float) -> Room:
     return rooms["torque noise"]
 
 
+@pytest.mark.slow(only=["three joints*", "15/4*"])
 @pytest.mark.parametrize(
     ("name", "sigma", "share"),
     [("plain", 0.0, 0.0), ("11/6", 1e-3, 0.0), ("15/4", 1e-3, 0.01), ("three joints", 0.0, 0.01)],
@@ -87,6 +88,7 @@ def coverage(arm: Arm, motion: Cycles, true: np.ndarray, declared: float) -> np.
     return np.asarray(np.mean(hold, axis=0))
 
 
+@pytest.mark.slow
 def test_intervals_hold_with_noise_of_the_torques(arm: Arm, model: Model, motion: Cycles) -> None:
     """Those of an arm that does not declare it are too narrow for the damping."""
     true = model.base_values(arm)

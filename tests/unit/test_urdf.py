@@ -376,6 +376,7 @@ def test_the_nearest_bodies_have_the_parameters_and_none_are_nearer(gap: tuple[A
     assert moved @ moved == pytest.approx(best.fun, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_determined_is_what_no_drawing_can_change(gap: tuple[Arm, Model]) -> None:
     """Two drawings that trust other numbers: entries that the parameters determine come out alike, others do not."""
     arm, cad = gap
@@ -402,6 +403,7 @@ def test_determined_is_what_no_drawing_can_change(gap: tuple[Arm, Model]) -> Non
     np.testing.assert_allclose(a[:, out_of_plane], drawn, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_an_entry_that_is_a_base_parameter_is_determined(gap: tuple[Arm, Model]) -> None:
     """On the lines between the joints, an arm's centres have y = 0, whatever the drawing says of it."""
     arm, cad = gap
@@ -414,6 +416,7 @@ def test_an_entry_that_is_a_base_parameter_is_determined(gap: tuple[Arm, Model])
     assert not np.delete(found.determined, 2, axis=1).any()
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_missing_constrains_nothing(gap: tuple[Arm, Model]) -> None:
     arm, cad = gap
     parameters = cad.base_parameters(arm)
