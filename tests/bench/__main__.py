@@ -2,7 +2,7 @@
 
     python -m bench [out/bench.json [CONFIGURATION ...]]
 
-Writes the file, a copy to docs/bench.json, and the tables of README.md and docs/cost.md from it. If configurations are
+Writes the file, a copy to docs/bench.json, and the tables of docs/cost.md from it. If configurations are
 named, only their instructions and bytes are measured, and the rest is taken from docs/bench.json. The name `solutions`
 stands for the dearest solution.
 """

@@ -1,5 +1,5 @@
-"""Write the bytes of the three structs into docs/integrate.md, their sums into README.md and docs/cost.md, and where
-the bytes are, beside the budgets, into docs/cost.md.
+"""Write the bytes of the structs into docs/integrate.md, and their sums and where the bytes are, beside the budgets,
+into docs/cost.md.
 
 PYTHONPATH=tests:tests/support python -m bench.sizes
 """
@@ -92,17 +92,15 @@ def main() -> None:
         cells = (size["arm"], size["work"], size["estimate"], total(size))
         return f"{found[1]} {' | '.join(f'{cell:,}' for cell in cells)} |"
 
-    manual, readme, cost = ROOT / "docs" / "integrate.md", ROOT / "README.md", ROOT / "docs" / "cost.md"
+    manual, cost = ROOT / "docs" / "integrate.md", ROOT / "docs" / "cost.md"
     write_text(manual, ROW.sub(row, manual.read_text()))
-    small, large = total(sizes(*PLANAR)), total(sizes("MAX_JOINTS=7"))
-    text = re.sub(r"take \d+ kB at -DZYGOS", f"take {small / 1000:.0f} kB at -DZYGOS", readme.read_text())
-    text = re.sub(r"(estimate, take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", text)
+    large = total(sizes("MAX_JOINTS=7"))
+    text = re.sub(r"(estimate, take|joints take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", cost.read_text())
     two, three, seven = (in_place(sizes(*usual, *fewest)) for _, _, usual, fewest in BUILDS)
     said = (
         f"takes {two / 1000:.0f} kB for two joints, {three / 1000:.0f} kB for three and {seven / 1e6:.1f} MB\nfor seven"
     )
-    write_text(readme, re.sub(r"takes \d+ kB for two joints, \d+ kB for three and [\d.]+ MB\nfor seven", said, text))
-    text = re.sub(r"(joints take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", cost.read_text())
+    text = re.sub(r"takes \d+ kB for two joints, \d+ kB for three and [\d.]+ MB\nfor seven", said, text)
     before, _, rest = text.partition(BEGIN)
     write_text(cost, before + BEGIN + "\n" + profile() + "\n" + END + rest.partition(END)[2])
 

@@ -1,4 +1,4 @@
-"""The tables that README.md and docs/cost.md have of docs/bench.json, a copy of what `make bench` found last."""
+"""The tables that docs/cost.md has of docs/bench.json, a copy of what `make bench` found last."""
 
 from __future__ import annotations
 
@@ -48,12 +48,13 @@ class Block:
     """Lines of a file between two markers."""
 
     path: Path
+    title: str
     text: str
 
     @property
     def markers(self) -> tuple[str, str]:
         """What stands before and behind the lines."""
-        return "<!-- make bench writes this -->", "<!-- to here -->"
+        return f"<!-- make bench writes this {self.title} -->", "<!-- to here -->"
 
     def _split(self) -> tuple[str, str, str]:
         begin, end = self.markers
@@ -107,8 +108,9 @@ def ratios(content: dict[str, Any], name: str) -> dict[str, float]:
 
 
 def blocks(content: dict[str, Any]) -> list[Block]:
-    """What the two files have to say."""
-    return [Block(ROOT / "README.md", _summary(content)), Block(ROOT / "docs" / "cost.md", _details(content))]
+    """What the page has to say: the summary at its begin, and the details."""
+    page = ROOT / "docs" / "cost.md"
+    return [Block(page, "summary", _summary(content)), Block(page, "table", _details(content))]
 
 
 def _summary(content: dict[str, Any]) -> str:
