@@ -82,7 +82,6 @@ def write_report(
         cycles=int(content["cycles"]),
         faults=dict(content["faults"]),
         gap=content.get("gap"),
-        refined=_refined(content.get("parameters", [])),
         instants=int(trace.instant.sum()),
         refused=len(refused),
         duration=float(time[-1] - time[0]) if len(time) else 0.0,
@@ -90,17 +89,16 @@ def write_report(
         missing=[name for name, x in zip(estimate.names, estimate.value, strict=True) if not math.isfinite(x)],
         groups=groups,
         number=number,
+        **_refined(content.get("parameters", [])),
         **_parameters(arm, estimate, numpy_value, true),
     )
 
 
-def _refined(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, str, str]]:
-    """Of each parameter, as text: the refined value, its error and its half width, both in per cent."""
-    out = {}
-    for p in parameters:
-        half95 = 100.0 * abs(p["refined_half95"] / p["true"])
-        out[p["name"]] = (grouped(p["refined"]), f"{p['refined_error_percent']:+.5f}", f"{half95:.5f}")
-    return out
+def _refined(parameters: Sequence[Mapping[str, Any]]) -> Entry:
+    """The refined value of each parameter and its error in per cent, as text, and their mean error."""
+    cells = {p["name"]: (grouped(p["refined"]), f"{p['refined_error_percent']:+.5f}") for p in parameters}
+    errors = [abs(p["refined_error_percent"]) for p in parameters]
+    return {"refined": cells, "refined_error": sum(errors) / len(errors) if errors else None}
 
 
 def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats) -> Entry:
@@ -123,7 +121,6 @@ def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats)
                 "colour": joint_colour(joint),
                 "unit": UNITS.get(arm.parameter_units[k], arm.parameter_units[k]),
                 "true": grouped(true[k]),
-                "numpy": grouped(numpy_value[k]),
                 "c": grouped(estimate.value[k]),
                 "error": signed(error[k]),
                 "half95": f"{half95[k]:.2f}" if np.isfinite(half95[k]) else "–",
