@@ -35,8 +35,19 @@ def words(text: str) -> str:
     return re.sub(r"[^\w\[\]]+", " ", text)
 
 
-def test_there_are_commands() -> None:
-    assert len(COMMANDS) >= 15
+def test_the_list_begins_with_the_five_that_everybody_needs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert list(COMMANDS)[:5] == ["estimate", "explain", "check-arm", "simulate", "view"]
+    assert run("-h") == 0
+    said = capsys.readouterr().out
+    assert [said.index(f"│ {command} ") for command in COMMANDS] == sorted(said.index(f"│ {c} ") for c in COMMANDS)
+    assert run("estimate", "-h") == 0
+
+
+def test_a_wrong_name_is_told_what_was_meant(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("estimat") == 2
+    assert "No such command 'estimat'. Did you mean 'estimate'?" in capsys.readouterr().err
+    assert run("nonsense") == 2
+    assert "Did you mean" not in capsys.readouterr().err
 
 
 @pytest.mark.slow(only=["simulate-60"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import version as version_of
 from typing import Annotated, Any
@@ -13,52 +14,73 @@ from typer.core import TyperCommand, TyperGroup
 from zygos.files.inputs import standard_input
 from zygos.files.output import errors_end_the_program
 
-COMMANDS = {
-    "simulate": ("simulate", "Simulate a run: plant, servo and sensors, recorded as CAN traffic."),
-    "plan": ("plan", "Plan a motion that excites every parameter, or rank given motions by what they tell."),
-    "bound": ("bound", "Compute the smallest standard deviations that any estimator can have from a motion."),
-    "estimate": ("estimate", "Estimate the parameters from one or several runs of an arm."),
-    "refine": ("refine", "Refine the parameters of an arm up to what its frames tell at most."),
-    "predict": (
-        "predict",
-        "Compare runs with what a model predicts of them: the torques of each joint, and the motion half a second "
-        "ahead.",
-    ),
-    "check": ("check", "Compare the C library with numpy on a run, stage by stage."),
-    "check-arm": (
-        "check_arm",
-        "Check a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.",
-    ),
-    "convert": ("convert", "Convert telemetry of another system to a run."),
-    "view": ("view", "Show the arm of a run moving in 3-D: in the browser, as a page in a file, or as still pictures."),
-    "explain": (
-        "explain",
-        "Find where simulation and measurement disagree, name the missing effect, add it, and show how the gap "
-        "shrinks.",
-    ),
-    "listen": (
-        "listen",
-        "Listen to a bus and estimate while the frames arrive. Ctrl-C or SIGTERM ends it and writes the estimate so "
-        "far.",
-    ),
-    "import": ("import_urdf", "Make arm.toml and model.toml from a URDF."),
-    "export": ("export_urdf", "Write a URDF with the inertials of a model; everything else in the URDF is unchanged."),
-    "fit": ("fit", "Find the physical arm that explains an estimate: possible bodies, lengths and drives."),
-    "dbc": ("dbc", "Write the DBC of this arm, for any CAN tool: its frames, with the joints' and parameters' names."),
-    "parameters": ("parameters", "List the base parameters of an arm, and what each of them stands for."),
-    "compile-model": (
-        "compile_model",
-        "Compile an arm file into a constant that onboard software links, and into bytes that it loads.",
-    ),
-    "bus-load": ("bus_load", "Compute how much of the bus this arm's frames take, and its largest SYNC rate."),
-    "example": ("example", "Write one of the examples into a folder, or list them."),
-    "paper": (
-        "paper",
-        "Reproduce the paper's Tables III and IV and the numbers of Fig. 4(b), next to the printed ones.",
-    ),
+GROUPS = {
+    "Begin here": {
+        "estimate": ("estimate", "Estimate the parameters from one or several runs of an arm."),
+        "explain": (
+            "explain",
+            "Find where simulation and measurement disagree, name the missing effect, add it, and "
+            "show how the gap shrinks.",
+        ),
+        "check-arm": (
+            "check_arm",
+            "Check a run against its arm file: rate, range, steps and noise of each signal, and "
+            "whether the signals agree.",
+        ),
+        "simulate": ("simulate", "Simulate a run: plant, servo and sensors, recorded as CAN traffic."),
+        "view": (
+            "view",
+            "Show the arm of a run moving in 3-D: in the browser, as a page in a file, or as still pictures.",
+        ),
+    },
+    "Runs": {
+        "convert": ("convert", "Convert telemetry of another system to a run."),
+        "refine": ("refine", "Refine the parameters of an arm up to what its frames tell at most."),
+        "predict": (
+            "predict",
+            "Compare runs with what a model predicts of them: the torques of each joint, and "
+            "the motion half a second ahead.",
+        ),
+        "check": ("check", "Compare the C library with numpy on a run, stage by stage."),
+    },
+    "On a bus and on board": {
+        "listen": (
+            "listen",
+            "Listen to a bus and estimate while the frames arrive. Ctrl-C or SIGTERM ends it and writes "
+            "the estimate so far.",
+        ),
+        "compile-model": (
+            "compile_model",
+            "Compile an arm file into a constant that onboard software links, and into bytes that it loads.",
+        ),
+        "dbc": (
+            "dbc",
+            "Write the DBC of this arm, for any CAN tool: its frames, with the joints' and parameters' names.",
+        ),
+        "bus-load": ("bus_load", "Compute how much of the bus this arm's frames take, and its largest SYNC rate."),
+    },
+    "Motions and models": {
+        "plan": ("plan", "Plan a motion that excites every parameter, or rank given motions by what they tell."),
+        "bound": ("bound", "Compute the smallest standard deviations that any estimator can have from a motion."),
+        "fit": ("fit", "Find the physical arm that explains an estimate: possible bodies, lengths and drives."),
+        "parameters": ("parameters", "List the base parameters of an arm, and what each of them stands for."),
+        "import": ("import_urdf", "Make arm.toml and model.toml from a URDF."),
+        "export": (
+            "export_urdf",
+            "Write a URDF with the inertials of a model; everything else in the URDF is unchanged.",
+        ),
+    },
+    "Examples": {
+        "example": ("example", "Write one of the examples into a folder, or list them."),
+        "paper": (
+            "paper",
+            "Reproduce the paper's Tables III and IV and the numbers of Fig. 4(b), next to the printed ones.",
+        ),
+    },
 }
-"""The module and the first line of the help of each command. The modules load numpy, scipy and more, which would delay
-the list of all commands."""
+"""The module and the first line of the help of each command, in the order of the list of commands. The modules load
+numpy, scipy and more, which would delay that list."""
+COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 
 
 class Greedy(TyperCommand):
@@ -100,11 +122,16 @@ class Commands(TyperGroup):
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
-        """A command for lists: its name and first line."""
-        return TyperCommand(cmd_name, help=COMMANDS[cmd_name][1]) if cmd_name in COMMANDS else None
+        """A command for lists: its name, first line and group."""
+        for group, commands in GROUPS.items():
+            if cmd_name in commands:
+                return TyperCommand(cmd_name, help=commands[cmd_name][1], rich_help_panel=group)
+        return None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
-        """The called command, completely loaded."""
+        """The called command, completely loaded. Errors: that of a wrong name, with the name that was meant."""
+        if args and args[0] not in COMMANDS and (meant := get_close_matches(args[0], COMMANDS, 1)):
+            ctx.fail(f"No such command '{args[0]}'. Did you mean '{meant[0]}'?")
         name, found, rest = super().resolve_command(ctx, args)
         return name, load(name) if name and found else found, rest
 
@@ -146,5 +173,7 @@ def zygos(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line. Errors of the user end with a message on stderr and their exit code, never a traceback."""
+    called = sys.argv[1:] if arguments is None else arguments
+    # `-h` beside `--help` in the lists of options would take the room of longer names in a narrow window
     with errors_end_the_program(), standard_input():
-        app(args=arguments, obj=sys.argv[1:] if arguments is None else arguments)
+        app(args=["--help" if word == "-h" else word for word in called], obj=called)
