@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -21,6 +22,7 @@ import pytest
 from bus_support import playing
 from cli_support import run
 from numpy.typing import NDArray
+from rich.console import Console
 from runs_support import trajectory_of
 from schema_support import hold
 
@@ -28,9 +30,11 @@ from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.cli import simulate as simulate_command
+from zygos.cli.live import line_of, table_of
 from zygos.demo import demonstration as demo
 from zygos.errors import ZygosError
 from zygos.estimation.remedies import remedy as remedy_of
+from zygos.estimation.watch import Watch
 from zygos.model.model import load_model
 from zygos.native.flight import Flight
 from zygos.reference import compare as check
@@ -245,12 +249,31 @@ def test_check_says_when_c_and_numpy_differ(brief_recording: Path, monkeypatch: 
 def test_listen(brief_recording: Path, tmp_path: Path) -> None:
     with playing("test_listen", brief_recording, 0.05):
         where = ("-i", "virtual", "-c", "test_listen", "--idle", 1)
-        files = ("-o", tmp_path / "live.toml", "--log", tmp_path / "live.blf")
+        files = ("-o", tmp_path / "live.toml", "--log", tmp_path / "live.blf", "--report", tmp_path / "live.html")
         code = run("listen", "--arm", EXAMPLE / "arm.toml", *where, *files)
     assert code == 0
+    assert "The energy" in (tmp_path / "live.html").read_text()
     assert run("estimate", brief_recording, "-o", tmp_path / "replayed.toml") == 0
     assert (tmp_path / "live.toml").read_bytes() == (tmp_path / "replayed.toml").read_bytes()
     assert bus.read_log(tmp_path / "live.blf").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
+
+
+def test_what_listen_shows_while_it_listens(brief_recording: Path) -> None:
+    """Too little data is no refusal; with all of it the table has the values that `estimate` gives."""
+    frames, arm = bus.read_log(brief_recording).frames, load_arm(EXAMPLE / "arm.toml")
+    watch = Watch(Flight(arm))
+    watch.frames(frames[:200])
+    early = watch.flight.estimate()
+    assert early.validity == "refused"
+    assert line_of(watch, early).endswith("0/12 parameters · learning")
+    watch.frames(frames[200:])
+    late = watch.flight.estimate()
+    table, console = table_of(watch, late), Console(width=100, file=io.StringIO())
+    console.print(table)
+    said = console.file.getvalue()
+    assert [name for name in late.names if f" {name} " not in said] == []
+    assert f"{late.value[0]:.7g}" in said
+    assert "0 cycles dropped, 0 frames rejected · 12/12 parameters · valid" in re.sub(r"\s+", " ", said)
 
 
 def test_listen_estimates_the_effects_of_a_model(
@@ -541,7 +564,8 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
         assert signal.getsignal(which) is unheard
     finally:
         signal.signal(which, before)
-    assert "stopped" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert re.search(r"stopped; the estimate of [\d,]+ cycles goes to .*live.toml, and the frames to .*live.log", said)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["live.log", "live.toml"]
     assert bus.read_log(tmp_path / "live.log").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
 

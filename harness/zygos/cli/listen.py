@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import can
-import numpy as np
 import typer
 
 from zygos.arm import Arm, load_arm
@@ -17,19 +16,14 @@ from zygos.can import bus
 from zygos.can.dbc import arm_database
 from zygos.can.rounds import Telemetry
 from zygos.cli.estimated import finish_estimate
+from zygos.cli.live import Screen
 from zygos.cli.onboard import report_refined
-from zygos.cli.options import Bitrate, ChannelOption, Details, Interface, Json
+from zygos.cli.options import Bitrate, ChannelOption, Details, Interface, Json, Report
 from zygos.cli.shared import Wanted, check_model_name
 from zygos.errors import Undecided, ZygosError
 from zygos.estimation.estimate import Estimation, conclude
 from zygos.estimation.watch import Watch
-from zygos.estimation.words import losses
-from zygos.files.output import (
-    check_outputs,
-    counted,
-    note,
-    quiet,
-)
+from zygos.files.output import check_outputs, counted, named, note, quiet
 from zygos.files.signals import stop_signals
 from zygos.model.model import Model, load_model
 from zygos.native.flight import Flight
@@ -50,9 +44,9 @@ def listen_bus(
 ) -> None:
     """Estimate while frames arrive; see `zygos listen --help`."""
     arm = load_arm(arm_file)
-    _check_files(out, log, wanted.json, [arm_file, model_file])
+    _check_files(out, log, wanted, [arm_file, model_file])
     prior = load_model(model_file) if model_file else None
-    flight = (watch := watched(arm, prior)).flight
+    flight = (watch := watched(arm, prior, trace=wanted.report is not None)).flight
     telemetry = Telemetry(arm_database(arm, flight.effects))
     batch: list[can.Message] = []
     failures: list[ZygosError] = []
@@ -76,25 +70,20 @@ def listen_bus(
                 fail(error)
             batch.clear()
 
-        note(f"listening to {where}; Ctrl-C ends")
-        begin = shown = time.monotonic()
+        note(f"listening to {where}; Ctrl-C ends, and writes the estimate so far")
+        begin = time.monotonic()
         try:
-            for message in bus.received_messages(
-                source, idle, lambda: stopped() or (duration > 0.0 and time.monotonic() - begin > duration)
-            ):
-                batch.append(message)
-                telemetry.take(message)
-                late = time.monotonic() - shown > 2.0
-                if late or len(batch) >= 256:
-                    work_off()
-                if late:
-                    shown = time.monotonic()
-                    result = flight.estimate()
-                    note(
-                        f"{counted(flight.counts['cycles'], 'cycle'):>16} · {losses(flight)} · "
-                        f"{np.isfinite(result.value).sum()}/{len(result.names)} parameters · {result.validity}"
-                        + (" · the arm changed" if watch.plainest and watch.plainest.changed else "")
-                    )
+            with Screen(watch) as screen:
+                for message in bus.received_messages(
+                    source, idle, lambda: stopped() or (duration > 0.0 and time.monotonic() - begin > duration)
+                ):
+                    batch.append(message)
+                    telemetry.take(message)
+                    due = screen.due()
+                    if due or len(batch) >= 256:
+                        work_off()
+                    if due:
+                        screen.show()
         except can.CanError as error:
             fail(
                 Undecided(
@@ -102,9 +91,9 @@ def listen_bus(
                     "that the interface is up, and listen again"
                 )
             )
-        if stopped():
-            note("stopped; the estimate so far is written")
         work_off()
+        if stopped():
+            note(_kept(flight, out, log if recording is not None else None))
     if recording is not None:
         try:
             recording.finish()
@@ -116,24 +105,31 @@ def listen_bus(
         sys.exit(failures[0].exit_code)
 
 
+def _kept(flight: Flight, out: Path, log: Path | None) -> str:
+    """What remains of a listening that was stopped."""
+    estimate = f"stopped; the estimate of {counted(flight.counts['cycles'], 'cycle')} goes to {named(out)}"
+    return estimate + (f", and the frames to {named(log)}" if log is not None else "")
+
+
 def _end(found: Estimation, out: Path, heading: dict[str, Any], wanted: Wanted) -> None:
     finish_estimate(found, out, heading, wanted, partial(provenance, ["listen"], []))
 
 
-def _check_files(out: Path, log: Path | None, json: str | None, inputs: list[Path | None]) -> None:
+def _check_files(out: Path, log: Path | None, wanted: Wanted, inputs: list[Path | None]) -> None:
     """Refuse outputs that have a wrong suffix or would replace an input."""
     check_model_name(out)
     if log is not None:
         bus.check_log_name(log)
-    check_outputs([out, log, json], inputs)
+    check_outputs([out, log, wanted.json, wanted.report], inputs)
 
 
-def watched(arm: Arm, prior: Model | None) -> Watch:
-    """The estimator of an arm, with the effects of a model. Errors: ZygosError where they do not fit."""
+def watched(arm: Arm, prior: Model | None, *, trace: bool = False) -> Watch:
+    """The estimator of an arm, with the effects of a model; trace: as of `Watch`. Errors: ZygosError where the effects
+    do not fit."""
     if prior is None:
-        return Watch(Flight(arm))
+        return Watch(Flight(arm), trace=trace)
     prior.base_parameters(arm)
-    return Watch(Flight(arm, prior.effects))
+    return Watch(Flight(arm, prior.effects), trace=trace)
 
 
 def command(
@@ -164,11 +160,15 @@ def command(
         ),
     ] = 2.0,
     json: Json = None,
+    report: Report = None,
     details: Details = False,
 ) -> None:
     """Listen to a bus and estimate while the frames arrive. Ctrl-C or SIGTERM ends it and writes the estimate so far.
 
-    The table and the JSON give the significance of each effect of --model: its value in standard deviations.
+    On a terminal, a table shows the values with their 95 % intervals, the residual, and the cycles and frames that were
+    lost; elsewhere there is a line every two seconds. *learning* means that there is too little data so far.
+
+    At the end, table and JSON give the significance of each effect of --model: its value in standard deviations.
 
     If a flight computer on the bus refines its estimate (zygos-node --refine), they also give the newest result that it
     told: the refined values where they are published, otherwise why they are not, and the innovations of each kind of
@@ -179,4 +179,4 @@ def command(
 
     Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
     """
-    listen_bus(arm, out, model, interface, channel, bitrate, log, duration, idle, Wanted(json, details=details))
+    listen_bus(arm, out, model, interface, channel, bitrate, log, duration, idle, Wanted(json, report, details))
