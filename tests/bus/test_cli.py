@@ -258,6 +258,19 @@ def test_listen(brief_recording: Path, tmp_path: Path) -> None:
     assert bus.read_log(tmp_path / "live.blf").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
 
 
+@pytest.mark.parametrize("law", ["applied_from_sync", "sampled"])
+def test_an_estimate_says_what_refines_it(
+    law: str, brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where a refinement knows the arm: not with torques that are sampled."""
+    text, arm = (EXAMPLE / "arm.toml").read_text(), tmp_path / "arm.toml"
+    arm.write_text(text.replace('torque_law = "applied_from_sync"', f'torque_law = "{law}"'))
+    run("estimate", brief_recording, "--arm", arm, "-o", tmp_path / "m.toml")
+    said = re.sub(r"\s+", " ", capsys.readouterr().out)
+    command = f"zygos refine {brief_recording} --arm {arm} -o BETTER.toml"
+    assert (command in said) == (law != "sampled")
+
+
 def test_what_listen_shows_while_it_listens(brief_recording: Path) -> None:
     """Too little data is no refusal; with all of it the table has the values that `estimate` gives."""
     frames, arm = bus.read_log(brief_recording).frames, load_arm(EXAMPLE / "arm.toml")

@@ -18,8 +18,8 @@ from zygos.cli.options import ArmFile, Details, Json, Report, Runs, cuts
 from zygos.cli.shared import Wanted, check_model_name, not_whole, origin, read_runs
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
-from zygos.estimation.estimate import estimate
-from zygos.files.output import check_outputs
+from zygos.estimation.estimate import Estimation, estimate
+from zygos.files.output import check_outputs, named
 from zygos.files.progress import progress
 from zygos.ground.estimate import estimate_ground
 from zygos.ground.payload import payload
@@ -113,8 +113,25 @@ def estimate_runs(
         answer = estimate(
             run, model=prior, progress=lambda share: bar.update(task, completed=share), trace=wanted.report is not None
         )
-    finish_estimate(answer, out, origin(run), wanted, source)
+    finish_estimate(answer, out, origin(run), wanted, source, hint=_hint(answer, runs, arm_file))
     not_whole(*(one.damage for one in learned))
+
+
+def _hint(found: Estimation, runs: Sequence[Path], arm_file: Path | None) -> str:
+    """How a valid estimate becomes better, where a refinement knows the arm and its effects; otherwise empty."""
+    if found.validity != "valid":
+        return ""
+    from zygos.refinement.refine import check_supported  # noqa: PLC0415  (of use here alone, and slow to load)
+
+    try:
+        check_supported(found.watch.flight.arm, found.watch.flight.effects)
+    except ZygosError:
+        return ""
+    given = " ".join([*map(named, runs), *([] if arm_file is None else ["--arm", named(arm_file)])])
+    return (
+        f"`zygos refine {given} -o BETTER.toml` uses the equations of motion, too: where the model is complete, the "
+        "intervals become many times narrower."
+    )
 
 
 def _payload(

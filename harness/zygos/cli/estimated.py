@@ -19,16 +19,19 @@ from zygos.report.provenance import Provenance
 Source = Callable[[], Provenance]
 
 
-def finish_estimate(found: Estimation, out: Path, heading: Mapping[str, Any], wanted: Wanted, source: Source) -> None:
+def finish_estimate(
+    found: Estimation, out: Path, heading: Mapping[str, Any], wanted: Wanted, source: Source, hint: str = ""
+) -> None:
     """End an estimate of the flight library. Raises Undecided if it is doubtful or refused.
 
-    heading: what the JSON begins with; source: what the estimate was made from. For a page it must have kept its trace.
+    heading: what the JSON begins with; source: what the estimate was made from; hint: how to go on. For a page it must
+    have kept its trace.
     """
     where = _where(found.validity, out)
     damage = heading.get("damage") or ()
     deliver(
         wanted,
-        lambda draw: sections.answer_of(found, written=where, damage=damage, draw=draw),
+        lambda draw: sections.answer_of(found, written=where, hint=hint, damage=damage, draw=draw),
         lambda: found.as_dict(heading),
         source,
         out,
