@@ -26,6 +26,7 @@ from zygos.report.answer import (
     Mark,
     Row,
     Section,
+    Table,
     Text,
     charts,
     section,
@@ -88,22 +89,7 @@ def answer_of(found: Refinement, *, written: str = "", damage: Sequence[str] = (
             section(
                 "rules",
                 "What was checked",
-                table(
-                    "rule::wrap | found | passes up to | ::state | meaning::wrap",
-                    [
-                        Row(
-                            (
-                                rule.title,
-                                number(rule.value, 3),
-                                number(rule.limit, 3),
-                                "holds" if rule.holds else "fails",
-                                rule.sentence,
-                            ),
-                            "" if rule.holds else "fails",
-                        )
-                        for rule in found.rules
-                    ],
-                ),
+                _checked(found),
             ),
             section(
                 "rivals",
@@ -274,6 +260,16 @@ def _level(found: Refinement, times: Entry) -> list[Entry]:
     ]
 
 
+def _checked(found: Refinement) -> Table | None:
+    """The rules; what a rule that fails means has a column of its own."""
+    failed = any(rule.sentence for rule in found.rules)
+    rows = []
+    for rule in found.rules:
+        cells = (rule.title, number(rule.value, 3), number(rule.limit, 3), "holds" if rule.holds else "fails")
+        rows.append(Row((*cells, rule.sentence) if failed else cells, "" if rule.holds else "fails"))
+    return table("rule::wrap | found | passes up to | ::state" + (" | meaning::wrap" if failed else ""), rows)
+
+
 def _parameters(found: Refinement) -> Section | None:
     """Bars of the standard deviations in per cent of the sizes; None where no value is published."""
     if not found.published:
@@ -315,8 +311,10 @@ def _parameters(found: Refinement) -> Section | None:
             Row((f"{one.kind.key} {one.joint}", one.kind.title, down_to(one.value, one.sigma), figure(half, 2),
                  unit_of(one.kind.unit), *blank))
         )  # fmt: skip
-    columns = "name::name | what it is::text | estimate::main | ± 95 % | unit::unit | σ, % | bound, % | energy rows, "
-    "% | σ, %::bar"
+    columns = (
+        "name::name | what it is::text | estimate::main | ± 95 % | unit::unit | σ, % | bound, % | energy rows, % | "
+        "σ, %::bar"
+    )
     return section(
         "parameters",
         "Parameters",

@@ -205,6 +205,7 @@ def table(heads: str | Sequence[str], rows: Sequence[Row | Sequence[str | Bar]],
         title, _, kind = head.partition("::")
         columns.append(Column(title, cast(ColumnKind, kind or ("number" if k else "title"))))
     lines = [one if isinstance(one, Row) else Row(tuple(one)) for one in rows]
+    assert all(len(line.cells) == len(columns) for line in lines), "a row has as many cells as there are columns"
     return Table(tuple(columns), tuple(lines), **scale)
 
 
