@@ -109,6 +109,7 @@ value = 1.0
 """
 
 
+@pytest.mark.slow
 def test_effects_of_a_model_are_learned(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Their values in the prior play no part; what is no column is carried over."""
     plant = example_with(tmp_path / "example", "model.toml")

@@ -130,6 +130,7 @@ def test_estimate_learns_the_effect_that_explain_wrote(folder: Path, named: Answ
     assert friction.value == pytest.approx(FRICTION, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_damaged_log_is_explained_with_a_warning(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

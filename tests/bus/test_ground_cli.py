@@ -153,6 +153,7 @@ def test_a_recording_is_given_once(folder: Path, tmp_path: Path, capsys: pytest.
     assert not (tmp_path / "m.toml").exists()
 
 
+@pytest.mark.slow
 def test_a_payload_and_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arm, model = short_arm(3)
     save_arm(arm, tmp_path / "arm.toml")

@@ -389,6 +389,7 @@ def angle_errors(case: Case, motion: Trajectory, number: int) -> tuple[Arm, Floa
     return arm, read - np.hstack([motion.q[0], motion.theta[0]])[at]
 
 
+@pytest.mark.slow
 def test_declared_sigmas_are_what_the_case_says(motion: Trajectory) -> None:
     for name, factor in (("paper-60", 1.0), ("sigma-half", 2.0), ("sigma-double", 0.5)):
         arm, error = angle_errors(CASES[name], motion, 5)

@@ -281,6 +281,7 @@ def test_the_true_models_twin_needs_no_servo() -> None:
         assert added.max() < 1e-3
 
 
+@pytest.mark.slow(only=["changes0*"])
 @pytest.mark.parametrize(("changes", "limit"), [
     ((), 3e-4),
     ((("k1", 0.8),), 0.25),

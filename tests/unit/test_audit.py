@@ -125,6 +125,7 @@ def test_a_smoother_that_flattens_the_motion_is_named_and_the_next_one_is_right(
     assert not hold[0].all() and hold[1].all()
 
 
+@pytest.mark.slow
 def test_a_smoother_is_not_judged_without_values_or_room(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
     """Not from too short a run, nor where the library has no room for another one, nor beside a cut-off frequency."""
     arm, (cycles, *_) = runs["lively"]

@@ -399,7 +399,7 @@ def test_friction_at_the_elbow_is_found() -> None:
         assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).mean() <= 0.02
 
 
-@pytest.mark.slow(but=[QUICK])
+@pytest.mark.slow
 @pytest.mark.parametrize("key", COLUMNS)
 def test_every_coefficient_is_found_without_noise(key: str) -> None:
     """From the motions with which its column is compared; the lag is 3 ms, whose square the column leaves out."""

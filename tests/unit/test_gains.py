@@ -204,6 +204,7 @@ def test_a_refinement_on_board_finds_the_gain(cycles: Cycles) -> None:
         assert off < 5.0 if sigma else off > 10.0
 
 
+@pytest.mark.slow
 def test_a_friction_that_no_column_has_is_doubted_though_its_residuals_are_small() -> None:
     """Coulomb friction of 1 % of the typical torque: rows disturb each other. Without it they do not."""
     arm, model, scenario = lively()

@@ -170,6 +170,7 @@ def test_the_largest_score_of_runs_that_lack_nothing() -> None:
     np.testing.assert_allclose(null_sigmas(found, CANDIDATES) / spread, 1.0, atol=0.6)
 
 
+@pytest.mark.slow
 def test_what_pairs_of_columns_take_away() -> None:
     """One solve for all pairs gives what a fit of each pair leaves over, with what it pays for the sensors' zeros."""
     found = study("standing", "motor_coulomb2", SIZE["motor_coulomb2"]["standing"])

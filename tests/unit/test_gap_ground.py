@@ -169,6 +169,7 @@ def test_a_stribeck_velocity_between_those_of_the_catalogue(speed: float, seed: 
         assert low < wanted < high, kind
 
 
+@pytest.mark.slow
 def test_what_the_twin_shows_as_well_is_no_effect() -> None:
     arm, model = short_arm(2, friction=False, torque_noise=0.003)
     runs = [recorded(arm, model, path=k, seed=k, noise=0.3, more={"load": 0.1}) for k in range(3)]

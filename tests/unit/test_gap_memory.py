@@ -79,7 +79,7 @@ def test_nothing_stands_out_where_nothing_is_hidden() -> None:
         assert min(abs(x) for x in z) < limits.NAMED_Z.value
 
 
-@pytest.mark.slow(but=["motor_eccentricity_sin2"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PLANTS if name != "nothing"])
 def test_what_is_hidden_stands_out_with_its_size(name: str) -> None:
     found = begun(TRIAL, flown(name), OWN)

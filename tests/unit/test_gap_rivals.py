@@ -50,6 +50,7 @@ def named(hidden: str, name: str) -> Search:
     return Search(study, after, (one,), (), share, ((name,),), chance(study, [name]))
 
 
+@pytest.mark.slow(only=["link_viscous1*"])
 @pytest.mark.parametrize(("hidden", "instead"), [(VISCOUS, [VISCOUS]), (COULOMB, [])])
 def test_what_is_taken_for_a_usual_entry_is_found_in_the_catalogue(hidden: str, instead: list[str]) -> None:
     found = named(hidden, COULOMB)

@@ -469,6 +469,7 @@ def test_gains_of_torque_sensors_do_not_multiply_what_is_not_explained_by_zero(n
     assert found.validity == "partial" and "not noise" in found.reason
 
 
+@pytest.mark.slow
 def test_a_gain_that_no_sensor_has_is_doubted_where_the_balance_does_not_close(tmp_path: Path) -> None:
     """Friction of a measured arm that is not asked for looks like a torque sensor that is 58 % off."""
     measured = recordings(tmp_path)

@@ -148,6 +148,7 @@ def test_attitude_of_a_body_that_tumbles() -> None:
     assert coarse / fine == pytest.approx(4.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_base_turns_as_the_simulator_says(clean: Callable[..., Trajectory]) -> None:
     trajectory = clean()
     run = motion(trajectory.arm, trajectory.cycles())

@@ -76,7 +76,7 @@ def cases() -> Iterator[tuple[int, str, Fault, dict[str, str]]]:
 CASES = list(cases())
 
 
-@pytest.mark.slow(but=["3 inverted 1"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joints", "fault", "expected"), [(n, *case) for n, _, *case in CASES], ids=[f"{n} {name}" for n, name, *_ in CASES]
 )
