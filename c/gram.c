@@ -156,13 +156,14 @@ uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n)
 uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t bytes)
 {
     const unsigned char *from = (const unsigned char *)memory;
-    for (uint32_t i = 0; i + 8u <= bytes; i += 8u) {
+    const unsigned char *const end = from + bytes;
+    for (const unsigned char *const words = from + (bytes & ~7u); from != words; from += 8) {
         uint64_t word;
-        __builtin_memcpy(&word, from + i, sizeof word);
+        __builtin_memcpy(&word, from, sizeof word);
         checksum = continued(checksum, word);
     }
-    for (uint32_t i = bytes & ~7u; i < bytes; i++) {
-        checksum = continued(checksum, from[i]);
+    for (; from != end; from++) {
+        checksum = continued(checksum, *from);
     }
     return checksum;
 }

@@ -528,7 +528,7 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
     self->filled = 0;
 }
 
-double zygos_joint_sums_check(const zygos_joint_sums_t *self)
+bool zygos_joint_sums_is_whole(const zygos_joint_sums_t *self)
 {
     bool good = (self->corrupt == 0) && ((self->width == 0) || (self->checksum == checksum_of(self)));
     double adds = self->apart_sums;
@@ -539,7 +539,7 @@ double zygos_joint_sums_check(const zygos_joint_sums_t *self)
     }
     good = good && (zygos_gram_check(self->noise.gram, self->width, self->noise.sum, adds) <= 1.0) &&
            (zygos_gram_check(self->apart.gram, self->width, self->apart.sum, adds) <= 1.0);
-    return good ? 0.0 : 2.0;
+    return good;
 }
 
 bool zygos_joint_sums_steady(const zygos_joint_sums_t *self, const zygos_config_t *config)

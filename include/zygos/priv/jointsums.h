@@ -187,10 +187,9 @@ bool zygos_joint_sums_steady(const zygos_joint_sums_t *self, const zygos_config_
 bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *config,
                             const zygos_column_map_t *column_map);
 
-/// Returns the largest violation of the row sums in units of their tolerance, or 2 when
-/// the checksum does not match. Above 1 means corrupt. Needs zygos_joint_sums_intact() and
+/// Returns whether all sums match their row sums and checksums. Needs zygos_joint_sums_intact() and
 /// zygos_joint_sums_flush().
-double zygos_joint_sums_check(const zygos_joint_sums_t *self);
+bool zygos_joint_sums_is_whole(const zygos_joint_sums_t *self);
 
 #ifdef __cplusplus
 }
