@@ -548,7 +548,7 @@ static double spread_of_joints(const zygos_joint_sums_t *sums)
     const double n = zygos_joint_sums_rows(sums);
     double spread = 0.0;
     for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-        spread += sums->group[g].fade * sums->group[g].rows.gram[zygos_gram_entries(sums->width) - 1u];
+        spread += sums->fade[g] * sums->group[g].gram[zygos_gram_entries(sums->width) - 1u];
     }
     return (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
 }

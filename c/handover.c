@@ -362,13 +362,12 @@ static void cut_segment(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, 
     const uint32_t width = joint_width(from);
     COPY_SUMS(&from->segment[s].rows, &to->segment[s].rows, width);
     COPY_SUMS(&from->segment[s].noise, &to->segment[s].noise, width);
-    copy(REST(&to->segment[s], &from->segment[s], zygos_joint_segment_t, apart));
+    copy(REST(&to->segment[s], &from->segment[s], zygos_joint_segment_t, joint));
 }
 
 static void cut_group(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, uint32_t g)
 {
-    COPY_SUMS(&from->group[g].rows, &to->group[g].rows, joint_width(from));
-    copy(REST(&to->group[g], &from->group[g], zygos_joint_group_t, count));
+    COPY_SUMS(&from->group[g], &to->group[g], joint_width(from));
 }
 
 /* Half of the time no segment is being added to a group. */
@@ -381,7 +380,7 @@ static void cut_joints(const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_joint_sums_t *from = &sums->joints;
     zygos_joint_sums_t *to = &out->joints;
-    copy(SPAN(to, from, zygos_joint_sums_t, width, weight));
+    copy(SPAN(to, from, zygos_joint_sums_t, filling, noise));
     if (from->width == 0) {
         return;
     }
@@ -395,7 +394,7 @@ static void cut_joints(const zygos_sums_t *sums, zygos_sums_t *out)
     if (from->adding != 0) {
         cut_segment(from, to, filling ^ 1u);
         COPY_SUMS(&from->noise, &to->noise, joint_width(from));
-        COPY_SUMS(&from->apart, &to->apart, joint_width(from));
+        COPY_SUMS(&from->joints, &to->joints, joint_width(from));
         cut_group(from, to, least(from->target, (uint32_t)ZYGOS_SET_ASIDE));
     }
 }
@@ -410,10 +409,10 @@ static bool joint_unit(const zygos_handover_t *self, const zygos_sums_t *sums, z
     }
     const bool adding = (to->adding != 0);
     if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_joint_sums_t, weight, noise));
+        copy(SPAN(to, from, zygos_joint_sums_t, width, filling));
         if (!adding) {
             COPY_SUMS(&from->noise, &to->noise, joint_width(from));
-            COPY_SUMS(&from->apart, &to->apart, joint_width(from));
+            COPY_SUMS(&from->joints, &to->joints, joint_width(from));
         }
     } else if (!adding || (self->unit - 1u != to->target)) {
         cut_group(from, to, self->unit - 1u);

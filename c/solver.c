@@ -291,7 +291,7 @@ static void scaled_without_momentum(zygos_solver_t *work, uint32_t p, const zygo
 /* The factor of a group of joint rows in the total. */
 static double group_factor(const zygos_solver_t *work, uint32_t g)
 {
-    return work->joints_weight * work->sums->joints.group[g].fade;
+    return work->joints_weight * work->sums->joints.fade[g];
 }
 
 /* out += factor times the matrix of a group of joint rows and its right side. */
@@ -305,11 +305,10 @@ static void embed_joints(const double *local, double factor, uint32_t p, double 
 /* The scaled equations without a group of the joint rows. */
 static void scaled_without_group(zygos_solver_t *work, uint32_t p, uint32_t g)
 {
-    const double *gram = work->sums->joints.group[g].rows.gram;
+    const double *gram = work->sums->joints.group[g].gram;
     const double factor = group_factor(work, g);
     const double rows = work->joints_alone ? work->instants : 1.0;
-    const double part =
-        work->joints_alone ? work->sums->joints.group[g].fade * work->sums->joints.group[g].count / rows : 0.0;
+    const double part = work->joints_alone ? work->sums->joints.fade[g] * work->sums->joints.count[g] / rows : 0.0;
     scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i <= p; i++) {
         for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
@@ -458,7 +457,7 @@ static void score_of_momentum(const zygos_solver_t *work, uint32_t p, const zygo
 /* The same of a group of joint rows. */
 static void score_of_group(const zygos_solver_t *work, uint32_t p, uint32_t g, double *out)
 {
-    const double *gram = work->sums->joints.group[g].rows.gram;
+    const double *gram = work->sums->joints.group[g].gram;
     for (uint32_t i = 0; i < p; i++) {
         double sum = gram[at(p, i)];
         for (uint32_t j = 0; j < p; j++) {
@@ -937,7 +936,7 @@ static double energy_left(const zygos_solver_t *work, uint32_t p, const double *
         return (left > 0.0) ? left : 0.0;
     }
     for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (work->joints_weight > 0.0); g++) {
-        left -= group_factor(work, g) * form(work->sums->joints.group[g].rows.gram, x, p);
+        left -= group_factor(work, g) * form(work->sums->joints.group[g].gram, x, p);
     }
     for (uint32_t i = 0; i < work->sums->config.joints; i++) {
         const uint32_t count = work->sums->motors.column_map.count[i];
@@ -1044,7 +1043,7 @@ static void add_common_error(const zygos_solver_t *work, uint32_t p, double syst
     const double half_s = 0.5 * work->sums->config.period_s * (double)work->sums->config.joint_row_cycles;
     const double joints = (double)work->sums->config.joints;
     const double blocks =
-        work->joints_alone ? work->sums->joints.apart_sums / joints : (double)(work->blocks.end - work->blocks.first);
+        work->joints_alone ? work->sums->joints.joint_sums / joints : (double)(work->blocks.end - work->blocks.first);
     const double arcs = work->joints_alone ? work->instants / joints * half_s / SYSTEMATIC_S
                                            : work->instants / (double)work->sums->config.arc_cycles;
     /* The noise of torques adds up from row to row, as far as any noise does. */
@@ -1357,8 +1356,8 @@ static void choose_joints(zygos_solver_t *work, uint32_t p, uint32_t first, uint
     work->joints_used = 1;
     work->joints_weight = 1.0;
     for (uint32_t g = first; g < end; g++) {
-        embed_joints(sums->group[g].rows.gram, group_factor(work, g), p, work->total);
-        work->instants += sums->group[g].fade * sums->group[g].count;
+        embed_joints(sums->group[g].gram, group_factor(work, g), p, work->total);
+        work->instants += sums->fade[g] * sums->count[g];
     }
     const double all = zygos_joint_sums_rows(sums);
     embed_joints(sums->noise.gram, (all > 0.0) ? work->instants / all : 0.0, p, work->noise);
@@ -1371,7 +1370,7 @@ static uint32_t groups_of(const zygos_joint_sums_t *sums)
 {
     uint32_t groups = 0;
     for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-        groups += (sums->group[g].count > 0.0) ? 1u : 0u;
+        groups += (sums->count[g] > 0.0) ? 1u : 0u;
     }
     return groups;
 }
@@ -1451,7 +1450,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
     double rows = 0.0;
     double weighed = 0.0;
     for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-        rows += sums->group[g].fade * sums->group[g].count;
+        rows += sums->fade[g] * sums->count[g];
     }
     for (uint32_t round = 0; round < 2u; round++) {
         double explained = 0.0;
@@ -1460,7 +1459,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
         (void)energy_left(work, p, work->solution, &explained);
         double square = form(sums->noise.gram, work->solution, p);
         for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (round > 0); g++) {
-            square += sums->group[g].fade * form(sums->group[g].rows.gram, work->solution, p);
+            square += sums->fade[g] * form(sums->group[g].gram, work->solution, p);
         }
         const double energy = explained / work->instants;
         const double weight = (square > 0.0) ? energy * rows / (JOINT_CORRELATION * square) : 0.0;
@@ -1469,7 +1468,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
         }
         const double more = weight - weighed;
         for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-            embed_joints(sums->group[g].rows.gram, more * sums->group[g].fade, p, work->total);
+            embed_joints(sums->group[g].gram, more * sums->fade[g], p, work->total);
         }
         embed_joints(sums->noise.gram, more, p, work->noise);
         weighed = weight;
@@ -1492,10 +1491,10 @@ static uint32_t combine(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
 {
     const zygos_joint_sums_t *sums = &work->sums->joints;
-    const double apart = form(sums->apart.gram, work->solution, p);
-    const double squares = (sums->apart_sums > 0.0) ? apart / sums->apart_sums : 0.0;
+    const double apart = form(sums->joints.gram, work->solution, p);
+    const double squares = (sums->joint_sums > 0.0) ? apart / sums->joint_sums : 0.0;
     /* Each sum is divided by the root of twice its number of rows. */
-    const double rows = (sums->apart_sums > 0.0) ? work->instants / sums->apart_sums : 1.0;
+    const double rows = (sums->joint_sums > 0.0) ? work->instants / sums->joint_sums : 1.0;
     *share = (work->spread > 0.0) ? root(2.0 * squares / rows * work->instants / work->spread) : 0.0;
     return squares / (out->residual * out->residual);
 }

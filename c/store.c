@@ -270,14 +270,11 @@ static void reseal(zygos_store_t *self)
 /* Flips a bit back where that explains the checksum. */
 static bool repair(zygos_store_t *self)
 {
-    uint64_t word[SEALED / 8u];
-    memcpy(word, self, SEALED);
-    if (!zygos_checksum_repair(word, SEALED / 8u, self->checksum)) {
-        return false;
+    const bool repaired = zygos_checksum_repair(self, SEALED, self->checksum);
+    if (repaired) {
+        reseal(self);
     }
-    memcpy(self, word, SEALED);
-    reseal(self);
-    return true;
+    return repaired;
 }
 
 /* Whether what tells which blocks there are leads nowhere else. */

@@ -577,6 +577,7 @@ class Flight:
         lib.zygos_arm_take(self.native, self._work)
         lib.zygos_work_solve(self._work, self._estimate)  # ends the open arcs of the copy
         sums, joints, momenta = self._work.sums.energy, self._work.sums.motors, self._work.sums.momentum
+        rows = self._work.sums.joints
         pointer, width = ffi.addressof(sums), len(self.names) + 1
         return Blocks(
             energy=[
@@ -598,9 +599,9 @@ class Flight:
             ],
             momentum=[_symmetric(block.rows.gram, momenta.columns) for block in closed_blocks(momenta)],
             joints=[
-                (group.fade * _symmetric(group.rows.gram, width), group.fade * group.count)
-                for group in list(self._work.sums.joints.group)[:-1]  # the last one is not of the estimate
-                if self._work.sums.joints.width > 0
+                (rows.fade[g] * _symmetric(rows.group[g].gram, width), rows.fade[g] * rows.count[g])
+                for g in range(len(rows.group) - 1)  # the last one is not of the estimate
+                if rows.width > 0
             ],
         )
 
