@@ -283,9 +283,10 @@ static bool is_steady(const zygos_arm_t *self)
 {
     const zygos_config_t *config = &self->sums.config;
     const zygos_accumulator_t *sums = &self->sums.energy;
-    const uint32_t off = (self->places ^ places_of(self)) | (sums->twin ^ zygos_accumulator_twin(sums));
-    return (off == 0) && (self->moving == moving_of(self)) && zygos_accumulator_steady(sums) &&
-           zygos_store_steady(&self->sums.motors.store) && zygos_store_steady(&self->sums.momentum.store) &&
+    return (self->places == places_of(self)) && (self->moving == moving_of(self)) && zygos_store_steady(&sums->store) &&
+           zygos_accumulator_steady(sums) &&
+           ((config->impulse_arc_cycles == 0) || zygos_store_steady(&self->sums.motors.store)) &&
+           ((config->momentum_arc_cycles == 0) || zygos_store_steady(&self->sums.momentum.store)) &&
            (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||
@@ -450,14 +451,15 @@ static void proceed_energy(zygos_arm_t *self)
 
 static bool may_proceed(const zygos_arm_t *self, uint32_t kind)
 {
-    return zygos_sums_is_busy(&self->sums, kind) && !is_held(self, kind);
+    return zygos_sums_has_work(&self->sums, kind) && !is_held(self, kind);
 }
 
 /* The tasks proceed in a cycle without rows. */
 static void idle(zygos_arm_t *self)
 {
     const uint32_t most = share_rows(self);
-    const uint32_t parts = ((self->beside != 0) && (most > 1u)) ? most - 1u : most;
+    const bool dear = (self->beside != 0) || (self->smoother.filled <= 1u); /* behind a gap */
+    const uint32_t parts = (dear && (most > 1u)) ? most - 1u : most;
     for (uint32_t part = 0; part < parts; part++) {
         uint32_t kind = (uint32_t)ZYGOS_MOTOR_ROWS;
         while ((kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) && !may_proceed(self, kind)) {
@@ -516,7 +518,7 @@ static bool yields(const zygos_arm_t *self, uint32_t kind)
 {
     const uint32_t turn = (uint32_t)(self->cycles & 3u);
     const bool momentum = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS) && (turn == 1u);
-    const bool energy = zygos_accumulator_has_work(&self->sums.energy) && ((turn & 1u) == 0);
+    const bool energy = zygos_sums_has_work(&self->sums, (uint32_t)ZYGOS_ENERGY_ROWS) && ((turn & 1u) == 0);
     return energy || (momentum && (kind == (uint32_t)ZYGOS_MOTOR_ROWS));
 }
 
@@ -636,7 +638,7 @@ static void add_energy(zygos_arm_t *self, bool busy)
         self->row.work = columns.work;
         self->row.variance = columns.variance;
     }
-    zygos_noise_sums_t *noise = &self->sums.energy.noise_open[self->sums.energy.parity];
+    zygos_noise_sums_t *noise = &self->sums.energy.noise_open[self->sums.energy.store.parity];
     zygos_row_buffer_t *buffer = &self->sums.energy.buffer[self->sums.energy.filling];
     const zygos_noise_target_t target = { noise->gram, noise->sum, buffer->gram, buffer->sum };
     const bool whole =
@@ -929,7 +931,7 @@ static uint32_t scrub_places(zygos_arm_t *self)
 uint32_t zygos_arm_count_quarantined(zygos_arm_t *self)
 {
     const uint32_t dropped = zygos_sums_quarantined(&self->sums);
-    self->sums.energy.quarantined = 0;
+    self->sums.energy.store.quarantined = 0;
     self->sums.motors.store.quarantined = 0;
     self->sums.momentum.store.quarantined = 0;
     self->sums.joints.quarantined = 0;

@@ -156,13 +156,14 @@ uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n)
 uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t bytes)
 {
     const unsigned char *from = (const unsigned char *)memory;
-    for (uint32_t i = 0; i + 8u <= bytes; i += 8u) {
+    const unsigned char *const end = from + bytes;
+    for (const unsigned char *const words = from + (bytes & ~7u); from != words; from += 8) {
         uint64_t word;
-        __builtin_memcpy(&word, from + i, sizeof word);
+        __builtin_memcpy(&word, from, sizeof word);
         checksum = continued(checksum, word);
     }
-    for (uint32_t i = bytes & ~7u; i < bytes; i++) {
-        checksum = continued(checksum, from[i]);
+    for (; from != end; from++) {
+        checksum = continued(checksum, *from);
     }
     return checksum;
 }
@@ -187,20 +188,19 @@ uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes)
     return zygos_fold_words(fold, memory, bytes);
 }
 
-bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum)
+bool zygos_checksum_repair(void *memory, uint32_t bytes, uint64_t checksum)
 {
-    const uint64_t off = checksum ^ zygos_checksum_words(0, word, n);
+    unsigned char *byte = (unsigned char *)memory;
+    const uint64_t off = checksum ^ zygos_checksum_memory(0, memory, bytes);
     if ((off & (off - 1u)) == 0) { /* it matches, or the flipped bit is its own */
         return true;
     }
-    for (uint32_t i = 0; i < n; i++) {
-        for (uint32_t bit = 0; bit < 64u; bit++) {
-            word[i] ^= (uint64_t)1 << bit;
-            if (zygos_checksum_words(0, word, n) == checksum) {
-                return true;
-            }
-            word[i] ^= (uint64_t)1 << bit;
+    for (uint32_t bit = 0; bit < 8u * bytes; bit++) {
+        byte[bit / 8u] = (unsigned char)(byte[bit / 8u] ^ (1u << (bit % 8u)));
+        if (zygos_checksum_memory(0, memory, bytes) == checksum) {
+            return true;
         }
+        byte[bit / 8u] = (unsigned char)(byte[bit / 8u] ^ (1u << (bit % 8u)));
     }
     return false;
 }

@@ -187,10 +187,11 @@ static void add_part(zygos_guard_t *self, const zygos_accumulator_t *sums, uint3
                      const double *deviation, zygos_finding_t *out)
 {
     const uint32_t p = sums->width - 2u;
-    const uint32_t first = zygos_gram_entries(sums->row);
+    const uint32_t row = sums->store.row;
+    const uint32_t first = zygos_gram_entries(row);
     const double *from = &gram[first];
-    const double *covariance = &self->covariance[(sums->row < p) ? first : 0u];
-    for (uint32_t i = sums->row; (i < end) && (i < p); i++) {
+    const double *covariance = &self->covariance[(row < p) ? first : 0u];
+    for (uint32_t i = row; (i < end) && (i < p); i++) {
         double product = 0.0;
         double trace = 0.0;
         double walk = 0.0;
@@ -205,7 +206,7 @@ static void add_part(zygos_guard_t *self, const zygos_accumulator_t *sums, uint3
         from += i + 1u;
         covariance += i + 1u;
     }
-    if ((sums->row <= p) && (end > p)) { /* the right side */
+    if ((row <= p) && (end > p)) { /* the right side */
         const double *right = &gram[zygos_gram_entries(p)];
         for (uint32_t j = 0; j < p; j++) {
             out->residual -= 2.0 * right[j] * self->solution[j];
@@ -227,15 +228,13 @@ static void add_block(zygos_guard_t *self, const zygos_block_t *block, const dou
     }
     self->blocks.residual += sum * sum / block->square;
     self->blocks.uncertainty += self->walk / block->square;
-    self->share += block->instants * block->instants / block->square;
+    self->share += block->head.total * block->head.total / block->square;
     self->compared += 1.0;
 }
 
-/* Whether the closing arc, of which all blocks are compared, contradicts the running solution. */
-static bool energy_contradicts(zygos_guard_t *self, const zygos_config_t *config, const zygos_accumulator_t *sums,
-                               bool *informative)
+/* The residuals of the closing arc over their limit, of which all blocks are compared. */
+static double contradiction_of_energy(zygos_guard_t *self, const zygos_config_t *config, double n, bool *informative)
 {
-    const double n = (double)sums->closing_instants;
     const double window = 2.0 * (double)config->smoother_half_width + 1.0;
     self->rows.expected = self->noise_ratio * self->noise.residual;
     self->rows.residual += self->noise.residual;
@@ -247,69 +246,23 @@ static bool energy_contradicts(zygos_guard_t *self, const zygos_config_t *config
                         ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * self->energy.spread * self->share;
     const double first = (limit > 0.0) ? self->rows.residual / limit : 0.0;
     const double second = (most > 0.0) ? self->blocks.residual / most : 0.0;
-    self->contradiction[ZYGOS_ENERGY_ROWS] = larger(first, second);
     *informative = limit < INFORMATIVE * self->rows.spread;
-    return self->contradiction[ZYGOS_ENERGY_ROWS] > 1.0;
+    return larger(first, second);
 }
 
-static void begin_comparison(zygos_guard_t *self, const zygos_config_t *config, const zygos_accumulator_t *sums)
+/* Compares the next rows of the closing arc of energy rows, of a block or of the noise. */
+static void judge_energy(zygos_guard_t *self, const zygos_accumulator_t *sums, uint32_t end)
 {
-    const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
-    self->rows = none;
-    self->noise = none;
-    self->blocks = none;
-    self->share = 0.0;
-    self->compared = 0.0;
-    self->comparing = (!zygos_joint_sums_suffice(config) && has_running_solution(self, sums->width - 2u) &&
-                       (self->energy.residual > 0.0))
-                          ? 1u
-                          : 0u;
-}
-
-static void judge_arc(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
-{
-    if (self->comparing == 0) {
-        zygos_accumulator_judged_arc(sums, true);
+    if (zygos_store_is_noise(&sums->store)) {
+        add_part(self, sums, end, sums->noise_open[(sums->store.parity & 1u) ^ 1u].gram, NULL, &self->noise);
         return;
     }
-    bool informative = false;
-    const bool contradicts = energy_contradicts(self, config, sums, &informative);
-    double there = 0.0;
-    for (uint32_t r = 0; r < sums->closed; r++) {
-        there += zygos_accumulator_instants(sums, r);
-    }
-    count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, informative, (double)sums->closing_instants, there,
-          sums->closing_end, sums->closing_cycles);
-    zygos_accumulator_judged_arc(sums, !contradicts);
-}
-
-static void proceed_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums)
-{
-    if (sums->task != (uint32_t)ZYGOS_TASK_JUDGE) {
-        zygos_accumulator_proceed(sums);
-        return;
-    }
-    const bool block = (sums->rank < sums->fresh);
-    if ((sums->rank == sums->closed) && (sums->row == 0)) {
-        begin_comparison(self, config, sums);
-    }
-    self->walk = (sums->row == 0) ? 0.0 : self->walk;
-    const uint32_t end = (self->comparing != 0) ? zygos_accumulator_part(sums) : sums->width;
-    if ((self->comparing != 0) && block) {
-        const zygos_block_t *from = zygos_accumulator_at(sums, sums->rank);
-        const double *deviation = zygos_accumulator_deviation(sums, from);
-        add_part(self, sums, end, from->gram, deviation, &self->rows);
-        if (end >= sums->width) {
-            add_block(self, from, deviation, sums->width - 2u);
-        }
-    } else if (self->comparing != 0) {
-        add_part(self, sums, end, sums->noise_open[(sums->parity & 1u) ^ 1u].gram, NULL, &self->noise);
-    }
-    sums->row = end;
-    if ((end >= sums->width) && block) {
-        zygos_accumulator_judged_block(sums);
-    } else if (end >= sums->width) {
-        judge_arc(self, config, sums);
+    const zygos_block_t *block = zygos_accumulator_at(sums, sums->store.rank);
+    const double *deviation = zygos_accumulator_deviation(sums, block);
+    self->walk = (sums->store.row == 0) ? 0.0 : self->walk;
+    add_part(self, sums, end, block->gram, deviation, &self->rows);
+    if (end + 1u >= sums->width) {
+        add_block(self, block, deviation, sums->width - 2u);
     }
 }
 
@@ -353,7 +306,7 @@ static void judge_joint(zygos_guard_t *self, const zygos_config_t *config, const
     if (i >= config->joints) { /* no joint has motor rows */
         return;
     }
-    const zygos_motor_block_t *closing = &sums->block[sums->store.count % (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS];
+    const zygos_motor_block_t *closing = zygos_motor_sums_at(sums, sums->store.closed);
     const double n = closing->instants[i];
     if (!(n > 0.0) || !(self->motor[i].residual > 0.0)) {
         return;
@@ -410,93 +363,108 @@ static void add_momentum_residuals(const zygos_guard_t *self, const uint32_t *pl
     }
 }
 
-/* Compares the next rows of the closing arc of momentum rows. Returns the row before which they end. */
-static uint32_t judge_momentum(zygos_guard_t *self, const zygos_column_map_t *column_map,
-                               const zygos_momentum_sums_t *sums)
+/* Compares the next rows of the closing arc of momentum rows. */
+static void judge_momentum(zygos_guard_t *self, const zygos_column_map_t *column_map, const zygos_momentum_sums_t *sums,
+                           uint32_t part)
 {
     const zygos_store_t *store = &sums->store;
-    const uint32_t part = zygos_store_part(store, (uint32_t)ZYGOS_MOMENTUM_ROWS);
     const uint32_t columns = momentum_columns(sums);
     const uint32_t end = (part < columns) ? part : columns;
-    const zygos_momentum_block_t *closing = &sums->block[store->count % (uint32_t)ZYGOS_MOMENTUM_PLACES];
+    const zygos_momentum_block_t *closing = zygos_momentum_sums_at(sums, store->closed);
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     momentum_places(column_map, sums, place);
-    add_momentum_residuals(self, place, store->row, end, sums->noise_arc[(store->parity & 1u) ^ 1u].gram,
+    add_momentum_residuals(self, place, store->row, end, sums->noise_open[(store->parity & 1u) ^ 1u].gram,
                            &self->momentum_noise);
     add_momentum_residuals(self, place, store->row, end, closing->rows.gram, &self->momenta);
-    return end;
 }
 
-/* Whether the closing arc of momentum rows contradicts; informative: it could have. */
-static bool momentum_contradicts(zygos_guard_t *self, double n, bool *informative)
+/* The residuals of the closing arc of momentum rows over their limit. */
+static double contradiction_of_momentum(const zygos_guard_t *self, double n, bool *informative)
 {
     zygos_finding_t found = self->momenta;
     found.residual += self->momentum_noise.residual;
     found.expected = self->momentum_noise.residual;
     const double limit = limit_of(&found, &self->momentum, n, 1.0);
-    self->contradiction[ZYGOS_MOMENTUM_ROWS] = (limit > 0.0) ? found.residual / limit : 0.0;
     *informative = (limit < INFORMATIVE * found.spread);
-    return (limit > 0.0) && (found.residual > limit);
+    return (limit > 0.0) ? found.residual / limit : 0.0;
 }
 
-/* Whether nothing of the closing arc was compared. The matrices of joints without motor rows are not. */
-static bool is_first_part(const zygos_sums_t *sums, const zygos_store_t *store)
+static bool is_compared(const zygos_guard_t *self, uint32_t kind)
 {
-    bool first = (store->row == 0);
-    for (uint32_t i = 0; (i < store->part) && (i < (uint32_t)ZYGOS_MAX_JOINTS); i++) {
-        first = first && (sums->motors.column_map.count[i] == 0);
-    }
-    return first;
+    return ((self->comparing >> kind) & 1u) != 0;
 }
 
-/* Motor or momentum rows, which are in such a store. */
-static void proceed_store(zygos_sums_t *sums, zygos_store_t *store, uint32_t kind)
+static void begin_comparison(zygos_sums_t *sums, uint32_t kind)
+{
+    const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
+    zygos_guard_t *self = &sums->guard;
+    bool compares = has_running_solution(self, sums->column_map.parameters);
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        self->rows = none;
+        self->noise = none;
+        self->blocks = none;
+        self->share = 0.0;
+        self->compared = 0.0;
+        compares = compares && !zygos_joint_sums_suffice(&sums->config) && (self->energy.residual > 0.0);
+    } else if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
+        self->motor_worst = 0.0;
+        self->motor_informative = 0;
+    } else {
+        self->momenta = none;
+        self->momentum_noise = none;
+        compares = compares && (self->momentum.residual > 0.0);
+    }
+    self->comparing = (self->comparing & ~(1u << kind)) | ((compares ? 1u : 0u) << kind);
+}
+
+/* Compares the part of the closing arc of which it is the turn. Returns the row before which it ends. */
+static uint32_t compare_part(zygos_sums_t *sums, const zygos_store_t *store, uint32_t kind)
 {
     zygos_guard_t *self = &sums->guard;
-    const bool motors = (kind == (uint32_t)ZYGOS_MOTOR_ROWS);
-    if (store->task != ZYGOS_STORE_JUDGE) {
-        zygos_store_proceed(store, kind);
-        return;
+    const uint32_t end = zygos_store_part(store, kind);
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        judge_energy(self, &sums->energy, end);
+        return end;
     }
-    if (is_first_part(sums, store)) {
-        const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
-        self->motor_worst = motors ? 0.0 : self->motor_worst;
-        self->motor_informative = motors ? 0u : self->motor_informative;
-        self->momenta = motors ? self->momenta : none;
-        self->momentum_noise = motors ? self->momentum_noise : none;
-        if (!has_running_solution(self, sums->column_map.parameters) || (!motors && !(self->momentum.residual > 0.0))) {
-            zygos_store_judged(store, kind, true);
-            return;
-        }
+    if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
+        judge_momentum(self, &sums->column_map, &sums->momentum, end);
+        return end;
     }
-    uint32_t end = ZYGOS_MAX_ANY_ROW;
-    if (motors) {
-        judge_joint(self, &sums->config, &sums->column_map, &sums->motors);
-    } else {
-        end = judge_momentum(self, &sums->column_map, &sums->momentum);
-    }
-    if (zygos_store_judged_rows(store, kind, end)) {
-        return;
-    }
-    const zygos_block_head_t *closing = zygos_store_closing(store, kind);
+    judge_joint(self, &sums->config, &sums->column_map, &sums->motors);
+    return ZYGOS_MAX_ANY_ROW; /* a matrix of a motor is a small one */
+}
+
+/* Whether the closing arc, all of which was compared, contradicts the running solution. It is counted. */
+static bool contradicts(zygos_sums_t *sums, const zygos_store_t *store, uint32_t kind)
+{
+    zygos_guard_t *self = &sums->guard;
+    const double n = (double)store->closing_instants;
     bool informative = (self->motor_informative != 0);
-    bool contradicts = (self->motor_worst > 1.0);
-    if (motors) {
-        self->contradiction[ZYGOS_MOTOR_ROWS] = self->motor_worst;
-    } else {
-        contradicts = momentum_contradicts(self, closing->total, &informative);
+    double found = self->motor_worst;
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        found = contradiction_of_energy(self, &sums->config, n, &informative);
+    } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
+        found = contradiction_of_momentum(self, n, &informative);
     }
-    count(self, &sums->config, kind, contradicts, informative, closing->total, zygos_store_instants(store, kind),
-          closing->end, store->closing_cycles);
-    zygos_store_judged(store, kind, !contradicts);
+    self->contradiction[kind] = found;
+    count(self, &sums->config, kind, found > 1.0, informative, n, zygos_store_instants(store, kind), store->closing_end,
+          store->closing_cycles);
+    return found > 1.0;
 }
 
 void zygos_guard_proceed(zygos_sums_t *sums, uint32_t kind)
 {
-    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        proceed_energy(&sums->guard, &sums->config, &sums->energy);
-    } else {
-        proceed_store(sums, (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &sums->motors.store : &sums->momentum.store, kind);
+    zygos_store_t *store = zygos_sums_store(sums, kind);
+    if (store->task != ZYGOS_TASK_JUDGE) {
+        zygos_store_proceed(store, kind);
+        return;
+    }
+    if (zygos_store_is_first_part(store, kind)) {
+        begin_comparison(sums, kind);
+    }
+    const uint32_t end = is_compared(&sums->guard, kind) ? compare_part(sums, store, kind) : ZYGOS_MAX_ANY_ROW;
+    if (!zygos_store_judged_rows(store, kind, end)) {
+        zygos_store_judged(store, kind, !is_compared(&sums->guard, kind) || !contradicts(sums, store, kind));
     }
 }
 
@@ -564,11 +532,11 @@ static double spread_of_energy(const zygos_accumulator_t *sums)
 {
     double spread = 0.0;
     double n = 0.0;
-    for (uint32_t r = 0; r < sums->closed; r++) {
+    for (uint32_t r = 0; r < sums->store.closed; r++) {
         const zygos_block_t *block = zygos_accumulator_at(sums, r);
-        const double instants = zygos_accumulator_instants(sums, r);
-        spread += (block->instants > 0.0)
-                      ? instants / block->instants * block->gram[zygos_gram_entries(sums->width - 1u) - 1u]
+        const double instants = zygos_store_instants_of(&sums->store, (uint32_t)ZYGOS_ENERGY_ROWS, r);
+        spread += (block->head.total > 0.0)
+                      ? instants / block->head.total * block->gram[zygos_gram_entries(sums->width - 1u) - 1u]
                       : 0.0;
         n += instants;
     }
@@ -580,7 +548,7 @@ static double spread_of_joints(const zygos_joint_sums_t *sums)
     const double n = zygos_joint_sums_rows(sums);
     double spread = 0.0;
     for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-        spread += sums->group[g].fade * sums->group[g].rows.gram[zygos_gram_entries(sums->width) - 1u];
+        spread += sums->fade[g] * sums->group[g].gram[zygos_gram_entries(sums->width) - 1u];
     }
     return (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
 }
@@ -612,12 +580,13 @@ static void begin(zygos_sums_t *sums)
     for (uint32_t i = 0; i < config->joints; i++) {
         zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
         n = 0.0;
-        for (uint32_t b = 0; (b < motors->store.count) && (motors->column_map.count[i] > 0); b++) {
+        for (uint32_t b = 0; (b < motors->store.closed) && (motors->column_map.count[i] > 0); b++) {
+            const zygos_motor_block_t *of = zygos_motor_sums_at(motors, b);
             zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
-            add_motor_residuals(self, config, column_map, motors, &motors->block[b], i, &block);
-            found.residual += motors->block[b].head.fade * block.residual;
-            found.spread += motors->block[b].head.fade * block.spread;
-            n += motors->block[b].head.fade * motors->block[b].instants[i];
+            add_motor_residuals(self, config, column_map, motors, of, i, &block);
+            found.residual += of->head.fade * block.residual;
+            found.spread += of->head.fade * block.spread;
+            n += of->head.fade * of->instants[i];
         }
         self->motor[i] = mean_squares_of(&found, n);
     }
@@ -626,12 +595,13 @@ static void begin(zygos_sums_t *sums)
     momentum_places(column_map, momentum, place);
     const uint32_t columns = momentum_columns(momentum);
     n = 0.0;
-    for (uint32_t b = 0; b < momentum->store.count; b++) {
+    for (uint32_t b = 0; b < momentum->store.closed; b++) {
+        const zygos_momentum_block_t *of = zygos_momentum_sums_at(momentum, b);
         zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
-        add_momentum_residuals(self, place, 0, columns, momentum->block[b].rows.gram, &block);
-        found.residual += momentum->block[b].head.fade * block.residual;
-        found.spread += momentum->block[b].head.fade * block.spread;
-        n += momentum->block[b].head.fade * momentum->block[b].head.total;
+        add_momentum_residuals(self, place, 0, columns, of->rows.gram, &block);
+        found.residual += of->head.fade * block.residual;
+        found.spread += of->head.fade * block.spread;
+        n += of->head.fade * of->head.total;
     }
     if (n > 0.0) {
         zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };

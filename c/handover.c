@@ -51,6 +51,17 @@ static uint32_t least(uint32_t a, uint32_t b)
     return (a < b) ? a : b;
 }
 
+static void cut_store(const zygos_store_t *from, zygos_store_t *to)
+{
+    copy(SPAN(to, from, zygos_store_t, count, scan));
+}
+
+/* Of closed arcs, and behind them that of the closing arc. */
+static uint32_t ended_blocks(const zygos_store_t *sums, uint32_t places)
+{
+    return least(sums->fresh, places);
+}
+
 /* ---------------------------------------------------------------- energy rows */
 
 /* A width that is not possible is found by the cycle that follows; here it only must not lead out of memory. */
@@ -62,10 +73,10 @@ static uint32_t energy_width(const zygos_accumulator_t *from)
 
 static void cut_block(zygos_handover_t *self, const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t place)
 {
-    if ((place < (uint32_t)ZYGOS_MAX_BLOCKS) && (self->apart[place] == 0)) {
+    if ((place < (uint32_t)ZYGOS_MAX_BLOCKS) && (self->copied[place] == 0)) {
         copy(piece(to->block[place].gram, from->block[place].gram, zygos_gram_entries(energy_width(from))));
         copy(REST(&to->block[place], &from->block[place], zygos_block_t, sum));
-        self->apart[place] = 1;
+        self->copied[place] = 1;
     }
 }
 
@@ -107,7 +118,7 @@ _Static_assert(ZYGOS_HANDOVER_QUARTERS < ZYGOS_BUFFER_ROWS, "no other buffer is 
    the next arc finds cleared blocks although tasks wait from here on. */
 static bool suits_energy(const zygos_accumulator_t *from)
 {
-    bool good = (from->filled == 0) && (from->ready >= ZYGOS_SPARE_BLOCKS);
+    bool good = (from->filled == 0) && (from->store.ready >= ZYGOS_SPARE_BLOCKS);
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         const uint32_t shared = from->buffer[b].shared;
         good = good && ((shared == 0) || (shared == ZYGOS_BUFFER_SLICES));
@@ -123,13 +134,13 @@ static uint32_t open_blocks(const zygos_accumulator_t *sums, uint32_t *place)
     uint32_t n = 0;
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         if (sums->buffer[b].shared < ZYGOS_BUFFER_SLICES) {
-            found[n++] = sums->buffer[b].places & 0xFFu;
-            found[n++] = (sums->buffer[b].places >> 8u) & 0xFFu;
+            found[n++] = sums->buffer[b].blocks & 0xFFu;
+            found[n++] = (sums->buffer[b].blocks >> 8u) & 0xFFu;
         }
     }
     for (uint32_t newest = 1; newest <= 2u; newest++) {
-        if ((sums->count >= sums->fresh + newest) && (sums->count <= (uint32_t)ZYGOS_MAX_BLOCKS)) {
-            found[n++] = sums->order[sums->count - newest];
+        if ((sums->store.count >= sums->store.fresh + newest) && (sums->store.count <= (uint32_t)ZYGOS_MAX_BLOCKS)) {
+            found[n++] = sums->store.order[sums->store.count - newest];
         }
     }
     uint32_t kept = 0;
@@ -167,9 +178,9 @@ static void copy_quarter(const zygos_accumulator_t *from, zygos_accumulator_t *t
     const uint32_t entry = zygos_gram_entries(first);
     for (uint32_t i = 0; i < n; i++) {
         const zygos_block_t *block = &from->block[place[i]];
-        zygos_block_t *copied = &to->block[place[i]];
-        copy(piece(&copied->gram[entry], &block->gram[entry], zygos_gram_entries(end) - entry));
-        copy(piece(&copied->sum[first], &block->sum[first], end - first));
+        zygos_block_t *block_out = &to->block[place[i]];
+        copy(piece(&block_out->gram[entry], &block->gram[entry], zygos_gram_entries(end) - entry));
+        copy(piece(&block_out->sum[first], &block->sum[first], end - first));
     }
 }
 
@@ -178,9 +189,9 @@ static void cut_energy(zygos_handover_t *self, const zygos_sums_t *sums, zygos_s
     const zygos_accumulator_t *from = &sums->energy;
     zygos_accumulator_t *to = &out->energy;
     uint32_t place[MOST_OPEN];
-    memset(self->apart, 0, sizeof self->apart);
+    memset(self->copied, 0, sizeof self->copied);
+    cut_store(&from->store, &to->store);
     copy(SPAN(to, from, zygos_accumulator_t, width, mean));
-    memcpy(to->order, from->order, sizeof to->order);
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         cut_buffer(from, to, b);
     }
@@ -190,15 +201,16 @@ static void cut_energy(zygos_handover_t *self, const zygos_sums_t *sums, zygos_s
         if (self->whole != 0) {
             cut_block(self, from, to, place[i]);
         } else {
-            copy(REST(&to->block[place[i]], &from->block[place[i]], zygos_block_t, instants));
-            self->apart[place[i]] = 1;
+            copy(REST(&to->block[place[i]], &from->block[place[i]], zygos_block_t, square));
+            self->copied[place[i]] = 1;
         }
     }
     if (self->whole == 0) {
         copy_quarter(from, to, 0);
     }
     if (from->noisy != 0) {
-        COPY_SUMS(&from->noise_open[from->parity & 1u], &to->noise_open[from->parity & 1u], energy_width(from) - 1u);
+        const uint32_t open = from->store.parity & 1u;
+        COPY_SUMS(&from->noise_open[open], &to->noise_open[open], energy_width(from) - 1u);
     }
     out->arc = sums->arc;
 }
@@ -220,7 +232,7 @@ static bool energy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_
     const zygos_accumulator_t *from = &sums->energy;
     zygos_accumulator_t *to = &out->energy;
     const uint32_t width = energy_width(from);
-    const uint32_t closing = (to->parity & 1u) ^ 1u;
+    const uint32_t closing = (to->store.parity & 1u) ^ 1u;
     const uint32_t quarter = self->unit + 1u;
     if (quarter < ZYGOS_HANDOVER_QUARTERS) {
         if (self->whole == 0) {
@@ -235,12 +247,12 @@ static bool energy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_
     }
     if (unit == 0) {
         copy(piece(to->mean, from->mean, width));
-        to->scan = from->scan;
+        to->store.scan = from->store.scan;
         COPY_SUMS(&from->noise_open[closing], &to->noise_open[closing], width - 1u);
     } else if (unit == 1u) {
         COPY_SUMS(&from->noise_closed, &to->noise_closed, width - 1u);
-    } else if (unit - 2u < least(to->count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
-        cut_block(self, from, to, to->order[unit - 2u]);
+    } else if (unit - 2u < least(to->store.count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
+        cut_block(self, from, to, to->store.order[unit - 2u]);
     } else {
         return false;
     }
@@ -254,12 +266,6 @@ static uint32_t joints_of(const zygos_sums_t *sums)
     return least(sums->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
 }
 
-/* Of closed arcs, and behind them that of the closing arc. */
-static uint32_t blocks_of(const zygos_store_t *sums)
-{
-    return sums->count + ((sums->closing_cycles > 0) ? 1u : 0u);
-}
-
 static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t *to, uint32_t joints)
 {
     copy(piece(to->joint, from->joint, joints * WORDS(sizeof from->joint[0])));
@@ -270,8 +276,9 @@ static void cut_motors(const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_motor_sums_t *from = &sums->motors;
     zygos_motor_sums_t *to = &out->motors;
-    copy(SPAN(&to->store, &from->store, zygos_store_t, count, scan));
-    cut_motor_block(&from->open, &to->open, joints_of(sums));
+    const uint32_t open = least(from->store.open, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS);
+    cut_store(&from->store, &to->store);
+    cut_motor_block(&from->block[open], &to->block[open], joints_of(sums));
 }
 
 /* The tables, then block by block, the closing arc last. */
@@ -281,15 +288,15 @@ static bool motor_unit(const zygos_handover_t *self, const zygos_sums_t *sums, z
     zygos_motor_sums_t *to = &out->motors;
     const uint32_t joints = joints_of(sums);
     if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_motor_sums_t, column_map, open));
+        copy(SPAN(to, from, zygos_motor_sums_t, column_map, block));
         to->store.scan = from->store.scan;
         return true;
     }
-    const uint32_t b = self->unit - 1u;
-    if (b >= least(blocks_of(&to->store), (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
+    if (self->unit > ended_blocks(&to->store, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
         return false;
     }
-    cut_motor_block(&from->block[b], &to->block[b], joints);
+    const uint32_t place = zygos_store_place(&to->store, (uint32_t)ZYGOS_MOTOR_ROWS, self->unit - 1u);
+    cut_motor_block(&from->block[place], &to->block[place], joints);
     return true;
 }
 
@@ -300,17 +307,22 @@ static uint32_t momentum_width(const zygos_momentum_sums_t *from)
     return least(from->columns + 3u, (uint32_t)ZYGOS_MAX_MOMENTUM_ROW);
 }
 
+static void cut_momentum_block(const zygos_momentum_sums_t *from, zygos_momentum_sums_t *to, uint32_t place)
+{
+    COPY_SUMS(&from->block[place].rows, &to->block[place].rows, momentum_width(from));
+    to->block[place].head = from->block[place].head;
+}
+
 static void cut_momentum(const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_momentum_sums_t *from = &sums->momentum;
     zygos_momentum_sums_t *to = &out->momentum;
     const uint32_t width = momentum_width(from);
     const uint32_t open = from->store.parity & 1u;
-    copy(SPAN(&to->store, &from->store, zygos_store_t, count, scan));
+    cut_store(&from->store, &to->store);
     copy(SPAN(to, from, zygos_momentum_sums_t, columns, deviation));
-    COPY_SUMS(&from->noise_arc[open], &to->noise_arc[open], width);
-    COPY_SUMS(&from->open.rows, &to->open.rows, width);
-    to->open.head = from->open.head;
+    COPY_SUMS(&from->noise_open[open], &to->noise_open[open], width);
+    cut_momentum_block(from, to, least(from->store.open, (uint32_t)ZYGOS_MOMENTUM_PLACES));
 }
 
 /* The tables with the noise of the closing arc, that of the closed ones, then block by block, the closing arc last. */
@@ -321,21 +333,20 @@ static bool momentum_unit(const zygos_handover_t *self, const zygos_sums_t *sums
     const uint32_t width = momentum_width(from);
     const uint32_t closing = (to->store.parity & 1u) ^ 1u;
     if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_momentum_sums_t, deviation, noise_arc));
+        copy(SPAN(to, from, zygos_momentum_sums_t, deviation, noise_open));
         to->store.scan = from->store.scan;
-        COPY_SUMS(&from->noise_arc[closing], &to->noise_arc[closing], width);
+        COPY_SUMS(&from->noise_open[closing], &to->noise_open[closing], width);
         return true;
     }
     if (self->unit == 1u) {
         COPY_SUMS(&from->noise_closed, &to->noise_closed, width);
         return true;
     }
-    const uint32_t b = self->unit - 2u;
-    if ((from->columns == 0) || (b >= least(blocks_of(&to->store), (uint32_t)ZYGOS_MOMENTUM_PLACES))) {
+    const uint32_t rank = self->unit - 2u;
+    if ((from->columns == 0) || (rank >= ended_blocks(&to->store, (uint32_t)ZYGOS_MOMENTUM_PLACES))) {
         return false;
     }
-    COPY_SUMS(&from->block[b].rows, &to->block[b].rows, width);
-    to->block[b].head = from->block[b].head;
+    cut_momentum_block(from, to, zygos_store_place(&to->store, (uint32_t)ZYGOS_MOMENTUM_ROWS, rank));
     return true;
 }
 
@@ -351,13 +362,12 @@ static void cut_segment(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, 
     const uint32_t width = joint_width(from);
     COPY_SUMS(&from->segment[s].rows, &to->segment[s].rows, width);
     COPY_SUMS(&from->segment[s].noise, &to->segment[s].noise, width);
-    copy(REST(&to->segment[s], &from->segment[s], zygos_joint_segment_t, apart));
+    copy(REST(&to->segment[s], &from->segment[s], zygos_joint_segment_t, joint));
 }
 
 static void cut_group(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, uint32_t g)
 {
-    COPY_SUMS(&from->group[g].rows, &to->group[g].rows, joint_width(from));
-    copy(REST(&to->group[g], &from->group[g], zygos_joint_group_t, count));
+    COPY_SUMS(&from->group[g], &to->group[g], joint_width(from));
 }
 
 /* Half of the time no segment is being added to a group. */
@@ -370,7 +380,7 @@ static void cut_joints(const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_joint_sums_t *from = &sums->joints;
     zygos_joint_sums_t *to = &out->joints;
-    copy(SPAN(to, from, zygos_joint_sums_t, width, weight));
+    copy(SPAN(to, from, zygos_joint_sums_t, filling, noise));
     if (from->width == 0) {
         return;
     }
@@ -384,7 +394,7 @@ static void cut_joints(const zygos_sums_t *sums, zygos_sums_t *out)
     if (from->adding != 0) {
         cut_segment(from, to, filling ^ 1u);
         COPY_SUMS(&from->noise, &to->noise, joint_width(from));
-        COPY_SUMS(&from->apart, &to->apart, joint_width(from));
+        COPY_SUMS(&from->joints, &to->joints, joint_width(from));
         cut_group(from, to, least(from->target, (uint32_t)ZYGOS_SET_ASIDE));
     }
 }
@@ -399,10 +409,10 @@ static bool joint_unit(const zygos_handover_t *self, const zygos_sums_t *sums, z
     }
     const bool adding = (to->adding != 0);
     if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_joint_sums_t, weight, noise));
+        copy(SPAN(to, from, zygos_joint_sums_t, width, filling));
         if (!adding) {
             COPY_SUMS(&from->noise, &to->noise, joint_width(from));
-            COPY_SUMS(&from->apart, &to->apart, joint_width(from));
+            COPY_SUMS(&from->joints, &to->joints, joint_width(from));
         }
     } else if (!adding || (self->unit - 1u != to->target)) {
         cut_group(from, to, self->unit - 1u);
@@ -446,14 +456,13 @@ static bool suits(const zygos_sums_t *sums, uint32_t kind)
     const zygos_config_t *config = &sums->config;
     if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
         return suits_energy(&sums->energy) &&
-               has_time(sums->energy.count + 2u + ZYGOS_HANDOVER_QUARTERS, sums->arc, config->arc_cycles);
+               has_time(sums->energy.store.count + 2u + ZYGOS_HANDOVER_QUARTERS, sums->arc, config->arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        return has_time(blocks_of(&sums->motors.store) + 1u, sums->motors.store.cycles, config->impulse_arc_cycles);
+        return has_time(sums->motors.store.fresh + 1u, sums->motors.store.cycles, config->impulse_arc_cycles);
     }
     if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        return has_time(blocks_of(&sums->momentum.store) + 2u, sums->momentum.store.cycles,
-                        config->momentum_arc_cycles);
+        return has_time(sums->momentum.store.fresh + 2u, sums->momentum.store.cycles, config->momentum_arc_cycles);
     }
     return (kind != ZYGOS_JOINT_KIND) || suits_joints(&sums->joints);
 }
@@ -465,9 +474,9 @@ static uint32_t fold_of(const zygos_handover_t *self)
     fold = zygos_folded_count(zygos_folded_count(fold, self->unit), self->waited);
     fold = zygos_folded_count(zygos_folded_count(fold, self->tries), self->whole);
     uint64_t all = zygos_folded(fold, self->dropped);
-    for (uint32_t at = 0; at < (uint32_t)sizeof self->apart; at += WORD) {
+    for (uint32_t at = 0; at < (uint32_t)sizeof self->copied; at += WORD) {
         uint64_t word;
-        __builtin_memcpy(&word, &self->apart[at], sizeof word);
+        __builtin_memcpy(&word, &self->copied[at], sizeof word);
         all = zygos_folded(all, word);
     }
     return (uint32_t)(zygos_fold_end(all) >> 32u);
@@ -543,7 +552,8 @@ static bool copy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_su
 /* Whether the blocks of the open arc have been copied, so that it may end where it is short, and be dropped. */
 static bool has_open_blocks(const zygos_handover_t *self, const zygos_accumulator_t *to)
 {
-    return (to->count <= to->fresh + 2u) && ((self->whole != 0) || (self->unit + 1u >= ZYGOS_HANDOVER_QUARTERS));
+    return (to->store.count <= to->store.fresh + 2u) &&
+           ((self->whole != 0) || (self->unit + 1u >= ZYGOS_HANDOVER_QUARTERS));
 }
 
 /* Whether blocks of energy rows that are still to be copied have changed. */
@@ -551,10 +561,11 @@ static bool is_disturbed_energy(const zygos_handover_t *self, const zygos_accumu
                                 const zygos_accumulator_t *to)
 {
     const bool may_end = has_open_blocks(self, to);
-    const uint32_t needed = may_end ? to->fresh : to->count;
-    bool disturbed = (from->closed != to->closed) || (!may_end && (from->fresh != to->fresh)) || (from->count < needed);
+    const uint32_t needed = may_end ? to->store.fresh : to->store.count;
+    bool disturbed = (from->store.closed != to->store.closed) || (!may_end && (from->store.fresh != to->store.fresh)) ||
+                     (from->store.count < needed);
     for (uint32_t r = 0; (r < needed) && (r < (uint32_t)ZYGOS_MAX_BLOCKS); r++) {
-        disturbed = disturbed || (from->order[r] != to->order[r]);
+        disturbed = disturbed || (from->store.order[r] != to->store.order[r]);
     }
     return disturbed;
 }

@@ -3,37 +3,38 @@
 #include "zygos/priv/gram.h"
 #include "zygos/priv/reduction.h"
 
+#include <stddef.h>
 #include <string.h>
 
 /* What happens to the segment that is complete: its entries are added to the group, then the sums of each joint's rows
    to the matrix of such sums. */
 #define IDLE 0u
 #define ENTRIES 1u
-#define APART 2u
+#define JOINTS 2u
 
 _Static_assert(ZYGOS_SEGMENT_INCREMENTS *ZYGOS_MIN_INCREMENT / 4u > ZYGOS_MAX_JOINTS + 1,
                "a segment must be added before the next one is complete");
 
-static uint64_t checksum_of(const zygos_joint_sums_t *self)
+#define SEALED ((uint32_t)(offsetof(zygos_joint_sums_t, checksum) - offsetof(zygos_joint_sums_t, filling)))
+_Static_assert(SEALED % 8u == 0, "whole words");
+
+static unsigned char *sealed_of(zygos_joint_sums_t *self)
 {
-    uint64_t checksum = zygos_checksum_number(1u, self->segments);
-    checksum = zygos_checksum_number(checksum, self->end);
-    checksum = zygos_checksum_number(checksum, self->filling);
-    checksum = zygos_checksum_doubles(checksum, &self->apart_sums, 1);
-    checksum = zygos_checksum_doubles(checksum, &self->keep, 1);
-    checksum = zygos_checksum_doubles(checksum, &self->keep_group, 1);
-    checksum = zygos_checksum_number(checksum, self->target);
-    for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
-        checksum = zygos_checksum_doubles(checksum, &self->group[g].count, 1);
-        checksum = zygos_checksum_doubles(checksum, &self->group[g].fade, 1);
-    }
-    return checksum;
+    return (unsigned char *)(void *)self + offsetof(zygos_joint_sums_t, filling);
 }
 
-/* Verifies the checksum, before anything that it protects is changed. */
-static void judge(zygos_joint_sums_t *self)
+static uint64_t checksum_of(const zygos_joint_sums_t *self)
 {
-    self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
+    return zygos_checksum_memory(0, (const unsigned char *)self + offsetof(zygos_joint_sums_t, filling), SEALED);
+}
+
+/* Verifies the checksum, and flips a bit back where that explains it. */
+static bool is_sealed(zygos_joint_sums_t *self)
+{
+    const bool good =
+        (self->checksum == checksum_of(self)) || zygos_checksum_repair(sealed_of(self), SEALED, self->checksum);
+    self->checksum = good ? checksum_of(self) : self->checksum;
+    return good;
 }
 
 bool zygos_joint_sums_suffice(const zygos_config_t *config)
@@ -159,9 +160,9 @@ bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_
     bool good = (self->width == width) && (width <= (uint32_t)ZYGOS_MAX_JOINT_ROW) &&
                 (self->increments == increments) && (self->slice == slice_of(config, width, increments)) &&
                 (self->share == share_of(config, width)) && zygos_joint_sums_steady(self, config) &&
-                (self->filled <= increments) && is_count(self->apart_sums);
+                (self->filled <= increments) && is_count(self->joint_sums);
     for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
-        good = good && is_count(self->group[g].count) && (self->group[g].fade >= 0.0) && (self->group[g].fade <= 1.0);
+        good = good && is_count(self->count[g]) && (self->fade[g] >= 0.0) && (self->fade[g] <= 1.0);
     }
     for (uint32_t s = 0; s < 2u; s++) {
         for (uint32_t j = 0; j < (uint32_t)ZYGOS_JOINT_PLACES; j++) {
@@ -181,7 +182,7 @@ static void clear_segment(zygos_joint_segment_t *segment, uint32_t width)
 {
     clear_gram(&segment->rows, width);
     clear_gram(&segment->noise, width);
-    memset(segment->apart, 0, sizeof segment->apart);
+    memset(segment->joint, 0, sizeof segment->joint);
     memset(segment->count, 0, sizeof segment->count);
 }
 
@@ -194,35 +195,18 @@ static void clear_waiting(zygos_joint_sums_t *self)
 
 void zygos_joint_sums_clear(zygos_joint_sums_t *self)
 {
-    self->corrupt = 0;
-    self->filling = 0;
-    self->adding = 0;
-    self->cursor = 0;
-    self->filled = 0;
-    self->turn = 0;
-    self->dropped = 0;
-    self->doubtful = 0;
-    self->apart_count = 0;
-    self->target = 0;
-    self->quarantined = 0;
-    self->segments = 0;
-    self->accepted = 0;
-    self->refused = 0;
-    self->end = 0;
+    memset(sealed_of(self), 0, offsetof(zygos_joint_sums_t, noise) - offsetof(zygos_joint_sums_t, filling));
     self->keep = 1.0;
     self->keep_group = 1.0;
-    self->apart_sums = 0.0;
-    clear_waiting(self);
     memset(self->wait, 0, sizeof self->wait);
     clear_gram(&self->noise, self->width);
-    clear_gram(&self->apart, self->width);
+    clear_gram(&self->joints, self->width);
     for (uint32_t s = 0; s < 2u; s++) {
         clear_segment(&self->segment[s], self->width);
     }
     for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
-        clear_gram(&self->group[g].rows, self->width);
-        self->group[g].count = 0.0;
-        self->group[g].fade = 1.0;
+        clear_gram(&self->group[g], self->width);
+        self->fade[g] = 1.0;
     }
     self->checksum = checksum_of(self);
 }
@@ -234,20 +218,20 @@ static bool is_admitted(const zygos_joint_sums_t *self)
 }
 
 /* Adds the sums of one joint's rows in the complete segment to the matrix of such sums. */
-static void add_apart(zygos_joint_sums_t *self, uint32_t joints)
+static void add_joint(zygos_joint_sums_t *self, uint32_t joints)
 {
     zygos_joint_segment_t *segment = &self->segment[1u - self->filling];
-    const uint32_t j = self->apart_count;
+    const uint32_t j = self->joint;
     const double n = segment->count[j];
     const double share = is_admitted(self) ? 1.0 / __builtin_sqrt((n > 0.0) ? 2.0 * n : 1.0) : 0.0;
     for (uint32_t k = 0; k < self->width; k++) {
-        segment->apart[j][k] *= share;
+        segment->joint[j][k] *= share;
     }
-    zygos_gram_add(self->apart.gram, self->apart.sum, self->width, segment->apart[j]);
-    memset(segment->apart[j], 0, self->width * sizeof segment->apart[j][0]);
+    zygos_gram_add(self->joints.gram, self->joints.sum, self->width, segment->joint[j]);
+    memset(segment->joint[j], 0, self->width * sizeof segment->joint[j][0]);
     segment->count[j] = 0.0;
-    self->apart_count++;
-    self->adding = (self->apart_count < joints) ? APART : IDLE;
+    self->joint++;
+    self->adding = (self->joint < joints) ? JOINTS : IDLE;
 }
 
 typedef struct {
@@ -255,10 +239,10 @@ typedef struct {
     double *restrict noise;
     double *restrict group;
     double *restrict total;
-    double *restrict apart;
+    double *restrict joints;
 } entries_t;
 
-/* Moves some entries of a segment to its group and to the total of the noise. What is there fades, apart too. */
+/* Moves some entries of a segment to its group and to the total of the noise. What is there fades. */
 static void move(const zygos_joint_sums_t *self, entries_t from, uint32_t count)
 {
     const double keep = self->keep;
@@ -267,7 +251,7 @@ static void move(const zygos_joint_sums_t *self, entries_t from, uint32_t count)
     for (uint32_t k = 0; k < count; k++) {
         from.group[k] = keep_group * from.group[k] + (from.rows[k] - from.noise[k]);
         from.total[k] = keep * from.total[k] + share * from.noise[k];
-        from.apart[k] = keep * from.apart[k];
+        from.joints[k] = keep * from.joints[k];
         from.rows[k] = 0.0;
         from.noise[k] = 0.0;
     }
@@ -277,20 +261,20 @@ static void move(const zygos_joint_sums_t *self, entries_t from, uint32_t count)
 static void add_entries(zygos_joint_sums_t *self, uint32_t most)
 {
     zygos_joint_segment_t *segment = &self->segment[1u - self->filling];
-    zygos_joint_gram_t *group = &self->group[self->target].rows;
+    zygos_joint_gram_t *group = &self->group[self->target];
     const uint32_t entries = zygos_gram_entries(self->width);
     const uint32_t left = entries - self->cursor;
     const uint32_t count = (most < left) ? most : left;
     const uint32_t at = self->cursor;
     move(self,
          (entries_t){ &segment->rows.gram[at], &segment->noise.gram[at], &group->gram[at], &self->noise.gram[at],
-                      &self->apart.gram[at] },
+                      &self->joints.gram[at] },
          count);
     self->cursor += count;
     if (self->cursor == entries) {
-        move(self, (entries_t){ segment->rows.sum, segment->noise.sum, group->sum, self->noise.sum, self->apart.sum },
+        move(self, (entries_t){ segment->rows.sum, segment->noise.sum, group->sum, self->noise.sum, self->joints.sum },
              self->width);
-        self->adding = APART;
+        self->adding = JOINTS;
     }
 }
 
@@ -298,8 +282,8 @@ static void advance(zygos_joint_sums_t *self, uint32_t joints, uint32_t entries)
 {
     if (self->adding == ENTRIES) {
         add_entries(self, entries);
-    } else if (self->adding == APART) {
-        add_apart(self, joints);
+    } else if (self->adding == JOINTS) {
+        add_joint(self, joints);
     }
 }
 
@@ -364,7 +348,7 @@ bool zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *confi
     const uint64_t one = (uint64_t)(accepted > 0.0);
     self->accepted += one;
     self->refused += 1u - one;
-    if (!row || (self->adding != APART) || !has_time(self, config)) {
+    if (!row || (self->adding != JOINTS) || !has_time(self, config)) {
         advance(self, config->joints, self->slice);
     }
     if (!row && (self->waiting > 0)) {
@@ -379,27 +363,26 @@ static void end_segment(zygos_joint_sums_t *self, const zygos_config_t *config, 
 {
     const zygos_joint_segment_t *segment = &self->segment[self->filling];
     const double share = zygos_kept_share(config, *forgetting);
-    judge(self);
+    self->corrupt |= is_sealed(self) ? 0u : 1u;
     self->target = target;
     self->segments += is_admitted(self) ? 1u : 0u;
     self->filling = 1u - self->filling;
     self->filled = 0;
     self->adding = ENTRIES;
     self->cursor = 0;
-    self->apart_count = 0;
+    self->joint = 0;
     self->end = cycle;
     for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
-        self->group[g].fade *= share;
+        self->fade[g] *= share;
     }
-    zygos_joint_group_t *group = &self->group[target];
     self->keep = share;
-    self->keep_group = anew ? 0.0 : group->fade;
-    group->fade = 1.0;
-    group->count *= self->keep_group;
-    self->apart_sums *= share;
+    self->keep_group = anew ? 0.0 : self->fade[target];
+    self->fade[target] = 1.0;
+    self->count[target] *= self->keep_group;
+    self->joint_sums *= share;
     for (uint32_t j = 0; j < config->joints; j++) {
-        group->count += segment->count[j];
-        self->apart_sums += (is_admitted(self) && (segment->count[j] > 0.0)) ? 1.0 : 0.0;
+        self->count[target] += segment->count[j];
+        self->joint_sums += (is_admitted(self) && (segment->count[j] > 0.0)) ? 1.0 : 0.0;
     }
     self->checksum = checksum_of(self);
     *forgetting = 1.0;
@@ -480,7 +463,7 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
     z[self->width - 1u] = weight * row->impulse;
     put(&self->wait[0], self->waiting, z, self->width);
     for (uint32_t k = 0; k < self->width; k++) {
-        segment->apart[row->joint][k] += z[k];
+        segment->joint[row->joint][k] += z[k];
     }
     segment->count[row->joint] += row->accepted;
     if (config->compensation > 0) {
@@ -505,7 +488,7 @@ double zygos_joint_sums_rows(const zygos_joint_sums_t *self)
 {
     double rows = 0.0;
     for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-        rows += self->group[g].fade * self->group[g].count;
+        rows += self->fade[g] * self->count[g];
     }
     return rows;
 }
@@ -528,24 +511,34 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
     self->filled = 0;
 }
 
-double zygos_joint_sums_check(const zygos_joint_sums_t *self)
+static bool matches(const zygos_joint_sums_t *self, const zygos_joint_gram_t *gram, double adds)
+{
+    return zygos_gram_check(gram->gram, self->width, gram->sum, adds) <= 1.0;
+}
+
+/* Whether the sums beside groups match, to which rows of the groups up to end were added. */
+static bool are_others_whole(const zygos_joint_sums_t *self, uint32_t end)
+{
+    double adds = self->joint_sums;
+    for (uint32_t g = 0; g < end; g++) {
+        adds += self->count[g];
+    }
+    return matches(self, &self->noise, adds) && matches(self, &self->joints, adds);
+}
+
+bool zygos_joint_sums_is_whole(const zygos_joint_sums_t *self)
 {
     bool good = (self->corrupt == 0) && ((self->width == 0) || (self->checksum == checksum_of(self)));
-    double adds = self->apart_sums;
-    for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
-        const zygos_joint_group_t *group = &self->group[g];
-        adds += group->count;
-        good = good && (zygos_gram_check(group->rows.gram, self->width, group->rows.sum, group->count) <= 1.0);
+    for (uint32_t g = 0; good && (g <= (uint32_t)ZYGOS_SET_ASIDE); g++) {
+        good = matches(self, &self->group[g], self->count[g]);
     }
-    good = good && (zygos_gram_check(self->noise.gram, self->width, self->noise.sum, adds) <= 1.0) &&
-           (zygos_gram_check(self->apart.gram, self->width, self->apart.sum, adds) <= 1.0);
-    return good ? 0.0 : 2.0;
+    return good && are_others_whole(self, (uint32_t)ZYGOS_SET_ASIDE + 1u);
 }
 
 bool zygos_joint_sums_steady(const zygos_joint_sums_t *self, const zygos_config_t *config)
 {
-    return (self->filling < 2u) && (self->adding <= APART) && (self->cursor <= zygos_gram_entries(self->width)) &&
-           (self->turn < zygos_joint_signals(config)) && (self->apart_count <= config->joints) &&
+    return (self->filling < 2u) && (self->adding <= JOINTS) && (self->cursor <= zygos_gram_entries(self->width)) &&
+           (self->turn < zygos_joint_signals(config)) && (self->joint <= config->joints) &&
            (self->target <= (uint32_t)ZYGOS_SET_ASIDE) && (self->waiting <= config->joints) &&
            (self->row <= self->width);
 }
@@ -557,37 +550,29 @@ bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *conf
         zygos_joint_sums_clear(self); /* its places are used where other sums are dropped */
         return true;
     }
-    if (!zygos_joint_sums_intact(self, config, column_map) || (self->corrupt == 1u) ||
-        (self->checksum != checksum_of(self))) {
+    if (!is_sealed(self) || (self->corrupt == 1u) || !zygos_joint_sums_intact(self, config, column_map)) {
         return false;
     }
     self->corrupt = 0;
     add_all_waiting(self, config);
-    const zygos_joint_segment_t *segment = &self->segment[self->filling];
-    double adds = self->apart_sums;
-    double rows = 0.0;
-    for (uint32_t j = 0; j < config->joints; j++) {
-        rows += segment->count[j];
-    }
-    if (!(zygos_gram_check(segment->rows.gram, self->width, segment->rows.sum, rows) <= 1.0) ||
-        !(zygos_gram_check(segment->noise.gram, self->width, segment->noise.sum, rows) <= 1.0)) {
+    zygos_joint_segment_t *segment = &self->segment[self->filling];
+    const double rows = zygos_joint_sums_open_rows(self, config);
+    if (!matches(self, &segment->rows, rows) || !matches(self, &segment->noise, rows)) {
         self->quarantined++;
-        clear_segment(&self->segment[self->filling], self->width);
+        clear_segment(segment, self->width);
         self->filled = 0;
     }
     if (self->adding != IDLE) {
         return true; /* a part of the sums is under way: the next call verifies them */
     }
+    const bool good = are_others_whole(self, (uint32_t)ZYGOS_GROUP_PLACES);
     for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
-        zygos_joint_group_t *group = &self->group[g];
-        adds += (g < (uint32_t)ZYGOS_GROUP_PLACES) ? group->count : 0.0;
-        if (!(zygos_gram_check(group->rows.gram, self->width, group->rows.sum, group->count) <= 1.0)) {
+        if (!matches(self, &self->group[g], self->count[g])) {
             self->quarantined++;
-            clear_gram(&group->rows, self->width);
-            group->count = 0.0;
+            clear_gram(&self->group[g], self->width);
+            self->count[g] = 0.0;
         }
     }
     self->checksum = checksum_of(self);
-    return (zygos_gram_check(self->noise.gram, self->width, self->noise.sum, adds) <= 1.0) &&
-           (zygos_gram_check(self->apart.gram, self->width, self->apart.sum, adds) <= 1.0);
+    return good;
 }

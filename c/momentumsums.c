@@ -45,6 +45,11 @@ bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_c
            zygos_store_intact(&self->store, (uint32_t)ZYGOS_MOMENTUM_ROWS, config->momentum_arc_cycles > 0);
 }
 
+const zygos_momentum_block_t *zygos_momentum_sums_at(const zygos_momentum_sums_t *self, uint32_t rank)
+{
+    return &self->block[zygos_store_place(&self->store, (uint32_t)ZYGOS_MOMENTUM_ROWS, rank)];
+}
+
 void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,
                              const zygos_momentum_t *momentum, const zygos_arm_state_t *state,
                              const zygos_motion_t *motion, double weight)
@@ -58,9 +63,11 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
     for (uint32_t k = 0; k < self->components; k++) {
         z[self->columns + k] = (k == component) ? weight : 0.0;
     }
-    zygos_gram_add(self->open.rows.gram, self->open.rows.sum, self->columns + self->components, z);
+    zygos_momentum_gram_t *open =
+        &self->block[(self->store.open <= ZYGOS_MOMENTUM_PLACES) ? self->store.open : 0u].rows;
+    zygos_gram_add(open->gram, open->sum, self->columns + self->components, z);
     if (self->signals > 0) {
-        zygos_momentum_gram_t *noise = &self->noise_arc[self->store.parity & 1u];
+        zygos_momentum_gram_t *noise = &self->noise_open[self->store.parity & 1u];
         const uint32_t signal = self->store.cycles / self->components % self->signals;
         zygos_momentum_derivative(momentum, config, motion, component, signal, z);
         for (uint32_t k = 0; k < self->columns; k++) {
@@ -68,7 +75,7 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
         }
         zygos_gram_add(noise->gram, noise->sum, self->columns, z);
     }
-    self->open.head.total += weight;
+    self->store.arc_instants += (uint32_t)(weight > 0.0);
     self->store.cycles++;
 }
 

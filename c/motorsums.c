@@ -35,11 +35,17 @@ bool zygos_motor_sums_intact(const zygos_motor_sums_t *self, const zygos_config_
            zygos_store_intact(&self->store, (uint32_t)ZYGOS_MOTOR_ROWS, config->impulse_arc_cycles > 0);
 }
 
+const zygos_motor_block_t *zygos_motor_sums_at(const zygos_motor_sums_t *self, uint32_t rank)
+{
+    return &self->block[zygos_store_place(&self->store, (uint32_t)ZYGOS_MOTOR_ROWS, rank)];
+}
+
 void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
                           double weight)
 {
     const uint32_t i = self->store.cycles % config->joints;
     const uint32_t p = self->column_map.count[i];
+    zygos_motor_block_t *open = &self->block[(self->store.open <= ZYGOS_MAX_MOTOR_BLOCKS) ? self->store.open : 0u];
     if (p > 0) {
         double z[ZYGOS_MAX_MOTOR_ROW];
         for (uint32_t k = 0; k < p; k++) {
@@ -47,9 +53,9 @@ void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config
         }
         z[p] = weight * rows->impulse[i];
         z[p + 1u] = weight;
-        zygos_gram_add(self->open.joint[i].gram, self->open.joint[i].sum, p + 2u, z);
+        zygos_gram_add(open->joint[i].gram, open->joint[i].sum, p + 2u, z);
     }
-    self->open.instants[i] += weight;
-    self->open.head.total += weight;
+    open->instants[i] += weight;
+    self->store.arc_instants += (uint32_t)(weight > 0.0);
     self->store.cycles++;
 }

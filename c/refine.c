@@ -333,7 +333,7 @@ static bool repair_settings(zygos_refine_t *self)
 {
     uint64_t word[sizeof self->settings / sizeof(uint64_t)];
     memcpy(word, &self->settings, sizeof word);
-    if (!zygos_checksum_repair(word, (uint32_t)(sizeof word / sizeof word[0]), self->settings_seal)) {
+    if (!zygos_checksum_repair(word, (uint32_t)sizeof word, self->settings_seal)) {
         return false;
     }
     memcpy(&self->settings, word, sizeof word);

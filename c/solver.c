@@ -194,7 +194,7 @@ static void scaled_equations(zygos_solver_t *work, uint32_t p, const zygos_block
 {
     const double *total = work->total;
     const double *declared = work->noise;
-    const double part = without ? 1.0 - without->instants / work->instants : 1.0;
+    const double part = without ? 1.0 - without->head.total / work->instants : 1.0;
     const double back = (1.0 - noise) * part;
     for (uint32_t i = 0; i <= p; i++) {
         for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
@@ -291,7 +291,7 @@ static void scaled_without_momentum(zygos_solver_t *work, uint32_t p, const zygo
 /* The factor of a group of joint rows in the total. */
 static double group_factor(const zygos_solver_t *work, uint32_t g)
 {
-    return work->joints_weight * work->sums->joints.group[g].fade;
+    return work->joints_weight * work->sums->joints.fade[g];
 }
 
 /* out += factor times the matrix of a group of joint rows and its right side. */
@@ -305,11 +305,10 @@ static void embed_joints(const double *local, double factor, uint32_t p, double 
 /* The scaled equations without a group of the joint rows. */
 static void scaled_without_group(zygos_solver_t *work, uint32_t p, uint32_t g)
 {
-    const double *gram = work->sums->joints.group[g].rows.gram;
+    const double *gram = work->sums->joints.group[g].gram;
     const double factor = group_factor(work, g);
     const double rows = work->joints_alone ? work->instants : 1.0;
-    const double part =
-        work->joints_alone ? work->sums->joints.group[g].fade * work->sums->joints.group[g].count / rows : 0.0;
+    const double part = work->joints_alone ? work->sums->joints.fade[g] * work->sums->joints.count[g] / rows : 0.0;
     scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i <= p; i++) {
         for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
@@ -410,7 +409,7 @@ static double student(double degrees_of_freedom)
 static void score(const zygos_solver_t *work, uint32_t p, const zygos_block_t *block, double *out)
 {
     const double *declared = work->sums->energy.noise_closed.gram;
-    const double back = (1.0 - work->noise_scale) * work->noise_fraction * block->instants / work->instants;
+    const double back = (1.0 - work->noise_scale) * work->noise_fraction * block->head.total / work->instants;
     for (uint32_t i = 0; i < p; i++) {
         double sum = block->gram[at(p, i)] + back * declared[at(p, i)];
         for (uint32_t j = 0; j < p; j++) {
@@ -458,7 +457,7 @@ static void score_of_momentum(const zygos_solver_t *work, uint32_t p, const zygo
 /* The same of a group of joint rows. */
 static void score_of_group(const zygos_solver_t *work, uint32_t p, uint32_t g, double *out)
 {
-    const double *gram = work->sums->joints.group[g].rows.gram;
+    const double *gram = work->sums->joints.group[g].gram;
     for (uint32_t i = 0; i < p; i++) {
         double sum = gram[at(p, i)];
         for (uint32_t j = 0; j < p; j++) {
@@ -513,7 +512,7 @@ static parts_t parts_of(const zygos_solver_t *work)
     out.momenta = out.motors + (work->momenta.end - work->momenta.first);
     out.all = out.momenta + ((work->joints_weight > 0.0) ? (uint32_t)ZYGOS_GROUP_PLACES : 0u);
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        instants += zygos_accumulator_at(&work->sums->energy, b)->instants;
+        instants += zygos_accumulator_at(&work->sums->energy, b)->head.total;
         square += zygos_accumulator_at(&work->sums->energy, b)->square;
     }
     out.factor = (square > 0.0) ? instants / square : 1.0;
@@ -526,9 +525,10 @@ static void scaled_without(zygos_solver_t *work, uint32_t p, const parts_t *part
     if (b < parts->energy) {
         scaled_equations(work, p, zygos_accumulator_at(&work->sums->energy, work->blocks.first + b), work->noise_scale);
     } else if (b < parts->motors) {
-        scaled_without_arc(work, p, &work->sums->motors.block[work->arcs.first + b - parts->energy]);
+        scaled_without_arc(work, p, zygos_motor_sums_at(&work->sums->motors, work->arcs.first + b - parts->energy));
     } else if (b < parts->momenta) {
-        scaled_without_momentum(work, p, &work->sums->momentum.block[work->momenta.first + b - parts->motors]);
+        scaled_without_momentum(work, p,
+                                zygos_momentum_sums_at(&work->sums->momentum, work->momenta.first + b - parts->motors));
     } else {
         scaled_without_group(work, p, b - parts->momenta);
     }
@@ -541,9 +541,11 @@ static double influence(zygos_solver_t *work, uint32_t p, uint32_t rank, const p
     if (b < parts->energy) {
         score(work, p, zygos_accumulator_at(&work->sums->energy, work->blocks.first + b), work->right_side);
     } else if (b < parts->motors) {
-        score_of_arc(work, p, &work->sums->motors.block[work->arcs.first + b - parts->energy], work->right_side);
+        score_of_arc(work, p, zygos_motor_sums_at(&work->sums->motors, work->arcs.first + b - parts->energy),
+                     work->right_side);
     } else if (b < parts->momenta) {
-        score_of_momentum(work, p, &work->sums->momentum.block[work->momenta.first + b - parts->motors],
+        score_of_momentum(work, p,
+                          zygos_momentum_sums_at(&work->sums->momentum, work->momenta.first + b - parts->motors),
                           work->right_side);
     } else {
         score_of_group(work, p, b - parts->momenta, work->right_side);
@@ -934,7 +936,7 @@ static double energy_left(const zygos_solver_t *work, uint32_t p, const double *
         return (left > 0.0) ? left : 0.0;
     }
     for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (work->joints_weight > 0.0); g++) {
-        left -= group_factor(work, g) * form(work->sums->joints.group[g].rows.gram, x, p);
+        left -= group_factor(work, g) * form(work->sums->joints.group[g].gram, x, p);
     }
     for (uint32_t i = 0; i < work->sums->config.joints; i++) {
         const uint32_t count = work->sums->motors.column_map.count[i];
@@ -943,11 +945,11 @@ static double energy_left(const zygos_solver_t *work, uint32_t p, const double *
             local[a] = x[place_of(work, i, a)];
         }
         for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (count > 0); b++) {
-            left -= work->weight[i] * form(work->sums->motors.block[b].joint[i].gram, local, count);
+            left -= work->weight[i] * form(zygos_motor_sums_at(&work->sums->motors, b)->joint[i].gram, local, count);
         }
     }
     for (uint32_t b = work->momenta.first; (b < work->momenta.end) && (work->momentum_weight > 0.0); b++) {
-        left -= work->momentum_weight * momentum_form(work, &work->sums->momentum.block[b].rows, x);
+        left -= work->momentum_weight * momentum_form(work, &zygos_momentum_sums_at(&work->sums->momentum, b)->rows, x);
     }
     *explained = work->noise_fraction * form(work->sums->energy.noise_closed.gram, x, p);
     left += *explained;
@@ -1017,8 +1019,9 @@ static void add_motors(zygos_solver_t *work, double energy)
             work->weight[i] = ((joint > 0.0) && enough) ? energy / joint : 0.0;
         }
         for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (work->weight[i] > 0.0); b++) {
-            embed(work, i, sums->block[b].joint[i].gram, work->weight[i], true, work->total);
-            embed(work, i, sums->noise[i], work->weight[i] * sums->block[b].instants[i], false, work->noise);
+            embed(work, i, zygos_motor_sums_at(sums, b)->joint[i].gram, work->weight[i], true, work->total);
+            embed(work, i, sums->noise[i], work->weight[i] * zygos_motor_sums_at(sums, b)->instants[i], false,
+                  work->noise);
         }
     }
 }
@@ -1040,7 +1043,7 @@ static void add_common_error(const zygos_solver_t *work, uint32_t p, double syst
     const double half_s = 0.5 * work->sums->config.period_s * (double)work->sums->config.joint_row_cycles;
     const double joints = (double)work->sums->config.joints;
     const double blocks =
-        work->joints_alone ? work->sums->joints.apart_sums / joints : (double)(work->blocks.end - work->blocks.first);
+        work->joints_alone ? work->sums->joints.joint_sums / joints : (double)(work->blocks.end - work->blocks.first);
     const double arcs = work->joints_alone ? work->instants / joints * half_s / SYSTEMATIC_S
                                            : work->instants / (double)work->sums->config.arc_cycles;
     /* The noise of torques adds up from row to row, as far as any noise does. */
@@ -1075,7 +1078,7 @@ static void add_torque_noise(zygos_solver_t *work, uint32_t p, uint32_t rank, do
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
         const double *deviation = zygos_accumulator_deviation(&work->sums->energy, block);
-        const double share = block->instants / work->instants;
+        const double share = block->head.total / work->instants;
         for (uint32_t i = 0; i < p; i++) {
             work->right_side[i] = deviation[i] * work->scale[i];
         }
@@ -1264,7 +1267,7 @@ static double cluster(const zygos_solver_t *work, uint32_t p, double residual, d
             sum -= work->solution[i] * deviation[i];
         }
         squares += (block->square > 0.0) ? sum * sum / block->square : 0.0;
-        means += (block->instants > 0.0) ? sum * sum / (block->instants * block->instants) : 0.0;
+        means += (block->head.total > 0.0) ? sum * sum / (block->head.total * block->head.total) : 0.0;
     }
     const double blocks = (double)(work->blocks.end - work->blocks.first);
     const double spread = root(work->spread / work->instants);
@@ -1277,11 +1280,13 @@ static void choose_momenta(zygos_solver_t *work, uint64_t after, uint64_t until)
 {
     const zygos_momentum_sums_t *sums = &work->sums->momentum;
     work->momenta.first = 0;
-    while ((work->momenta.first < sums->store.count) && (sums->block[work->momenta.first].head.end <= after)) {
+    while ((work->momenta.first < sums->store.closed) &&
+           (zygos_momentum_sums_at(sums, work->momenta.first)->head.end <= after)) {
         work->momenta.first++;
     }
     work->momenta.end = work->momenta.first;
-    while ((work->momenta.end < sums->store.count) && (sums->block[work->momenta.end].head.end <= until)) {
+    while ((work->momenta.end < sums->store.closed) &&
+           (zygos_momentum_sums_at(sums, work->momenta.end)->head.end <= until)) {
         work->momenta.end++;
     }
 }
@@ -1291,32 +1296,33 @@ static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t en
 {
     const zygos_accumulator_t *sums = &work->sums->energy;
     const zygos_motor_sums_t *joints = &work->sums->motors;
-    const uint64_t after = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->end : 0u;
-    const uint64_t until = (end > 0) ? zygos_accumulator_at(sums, end - 1u)->end : 0u;
+    const uint64_t after = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->head.end : 0u;
+    const uint64_t until = (end > 0) ? zygos_accumulator_at(sums, end - 1u)->head.end : 0u;
     double all = 0.0;
     work->blocks.first = first;
     work->blocks.end = end;
     work->arcs.first = 0;
-    while ((work->arcs.first < joints->store.count) && (joints->block[work->arcs.first].head.end <= after)) {
+    while ((work->arcs.first < joints->store.closed) &&
+           (zygos_motor_sums_at(joints, work->arcs.first)->head.end <= after)) {
         work->arcs.first++;
     }
     work->arcs.end = work->arcs.first;
-    while ((work->arcs.end < joints->store.count) &&
-           ((end == sums->closed) || (joints->block[work->arcs.end].head.end <= until))) {
+    while ((work->arcs.end < joints->store.closed) &&
+           ((end == sums->store.closed) || (zygos_motor_sums_at(joints, work->arcs.end)->head.end <= until))) {
         work->arcs.end++;
     }
-    choose_momenta(work, after, (end == sums->closed) ? work->sums->cycle : until);
+    choose_momenta(work, after, (end == sums->store.closed) ? work->sums->cycle : until);
     memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
     work->instants = 0.0;
     work->joints_alone = 0;
     work->joints_weight = 0.0;
-    work->joints_used = ((first == 0) && (end == sums->closed)) ? 1u : 0u;
-    for (uint32_t b = 0; b < sums->closed; b++) {
-        all += zygos_accumulator_at(sums, b)->instants;
+    work->joints_used = ((first == 0) && (end == sums->store.closed)) ? 1u : 0u;
+    for (uint32_t b = 0; b < sums->store.closed; b++) {
+        all += zygos_accumulator_at(sums, b)->head.total;
         for (uint32_t k = 0; (k < at(p + 2u, 0)) && (b >= first) && (b < end); k++) {
             work->total[k] += zygos_accumulator_at(sums, b)->gram[k];
         }
-        work->instants += ((b >= first) && (b < end)) ? zygos_accumulator_at(sums, b)->instants : 0.0;
+        work->instants += ((b >= first) && (b < end)) ? zygos_accumulator_at(sums, b)->head.total : 0.0;
     }
     work->spread = work->total[at(p, p)];
     work->noise_fraction = (all > 0.0) ? work->instants / all : 0.0;
@@ -1350,8 +1356,8 @@ static void choose_joints(zygos_solver_t *work, uint32_t p, uint32_t first, uint
     work->joints_used = 1;
     work->joints_weight = 1.0;
     for (uint32_t g = first; g < end; g++) {
-        embed_joints(sums->group[g].rows.gram, group_factor(work, g), p, work->total);
-        work->instants += sums->group[g].fade * sums->group[g].count;
+        embed_joints(sums->group[g].gram, group_factor(work, g), p, work->total);
+        work->instants += sums->fade[g] * sums->count[g];
     }
     const double all = zygos_joint_sums_rows(sums);
     embed_joints(sums->noise.gram, (all > 0.0) ? work->instants / all : 0.0, p, work->noise);
@@ -1364,7 +1370,7 @@ static uint32_t groups_of(const zygos_joint_sums_t *sums)
 {
     uint32_t groups = 0;
     for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-        groups += (sums->group[g].count > 0.0) ? 1u : 0u;
+        groups += (sums->count[g] > 0.0) ? 1u : 0u;
     }
     return groups;
 }
@@ -1405,9 +1411,10 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, z
     double weight = work->momentum_weight;
     double all = 0.0;
     double chosen = 0.0;
-    for (uint32_t b = 0; b < sums->store.count; b++) {
-        all += sums->block[b].head.total;
-        chosen += ((b >= work->momenta.first) && (b < work->momenta.end)) ? sums->block[b].head.total : 0.0;
+    for (uint32_t b = 0; b < sums->store.closed; b++) {
+        all += zygos_momentum_sums_at(sums, b)->head.total;
+        chosen +=
+            ((b >= work->momenta.first) && (b < work->momenta.end)) ? zygos_momentum_sums_at(sums, b)->head.total : 0.0;
     }
     work->momentum_weight = 0.0;
     if (!(weight > 0.0)) {
@@ -1422,7 +1429,7 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, z
         work->momenta.end = work->momenta.first;
     }
     for (uint32_t b = work->momenta.first; b < work->momenta.end; b++) {
-        embed_momentum(work, sums->block[b].rows.gram, weight, NULL, work->total);
+        embed_momentum(work, zygos_momentum_sums_at(sums, b)->rows.gram, weight, NULL, work->total);
     }
     embed_momentum(work, sums->noise_closed.gram, weight * chosen / all, NULL, work->noise);
     work->momentum_weight = weight;
@@ -1443,7 +1450,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
     double rows = 0.0;
     double weighed = 0.0;
     for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-        rows += sums->group[g].fade * sums->group[g].count;
+        rows += sums->fade[g] * sums->count[g];
     }
     for (uint32_t round = 0; round < 2u; round++) {
         double explained = 0.0;
@@ -1452,7 +1459,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
         (void)energy_left(work, p, work->solution, &explained);
         double square = form(sums->noise.gram, work->solution, p);
         for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (round > 0); g++) {
-            square += sums->group[g].fade * form(sums->group[g].rows.gram, work->solution, p);
+            square += sums->fade[g] * form(sums->group[g].gram, work->solution, p);
         }
         const double energy = explained / work->instants;
         const double weight = (square > 0.0) ? energy * rows / (JOINT_CORRELATION * square) : 0.0;
@@ -1461,7 +1468,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
         }
         const double more = weight - weighed;
         for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-            embed_joints(sums->group[g].rows.gram, more * sums->group[g].fade, p, work->total);
+            embed_joints(sums->group[g].gram, more * sums->fade[g], p, work->total);
         }
         embed_joints(sums->noise.gram, more, p, work->noise);
         weighed = weight;
@@ -1484,10 +1491,10 @@ static uint32_t combine(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
 {
     const zygos_joint_sums_t *sums = &work->sums->joints;
-    const double apart = form(sums->apart.gram, work->solution, p);
-    const double squares = (sums->apart_sums > 0.0) ? apart / sums->apart_sums : 0.0;
+    const double apart = form(sums->joints.gram, work->solution, p);
+    const double squares = (sums->joint_sums > 0.0) ? apart / sums->joint_sums : 0.0;
     /* Each sum is divided by the root of twice its number of rows. */
-    const double rows = (sums->apart_sums > 0.0) ? work->instants / sums->apart_sums : 1.0;
+    const double rows = (sums->joint_sums > 0.0) ? work->instants / sums->joint_sums : 1.0;
     *share = (work->spread > 0.0) ? root(2.0 * squares / rows * work->instants / work->spread) : 0.0;
     return squares / (out->residual * out->residual);
 }
@@ -1519,10 +1526,10 @@ static double walk_in_clusters(const zygos_solver_t *work)
     double weights = 0.0;
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
-        const bool last =
-            (b + 1u == work->blocks.end) || (zygos_accumulator_at(&work->sums->energy, b + 1u)->end != block->end);
+        const bool last = (b + 1u == work->blocks.end) ||
+                          (zygos_accumulator_at(&work->sums->energy, b + 1u)->head.end != block->head.end);
         walked += block->variance[0];
-        weights += (block->square > 0.0) ? block->instants * block->instants / block->square : 0.0;
+        weights += (block->square > 0.0) ? block->head.total * block->head.total / block->square : 0.0;
         sum += last ? weights * walked / 6.0 : 0.0; /* mean square of a walk about its own mean */
         walked = last ? 0.0 : walked;
         weights = last ? 0.0 : weights;
@@ -1575,9 +1582,9 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
     }
     for (uint32_t b = work->arcs.first; b < work->arcs.end; b++) {
         for (uint32_t k = 0; k < at(count + 1u, 0); k++) {
-            gram[k] += sums->block[b].joint[i].gram[k];
+            gram[k] += zygos_motor_sums_at(sums, b)->joint[i].gram[k];
         }
-        instants += sums->block[b].instants[i];
+        instants += zygos_motor_sums_at(sums, b)->instants[i];
     }
     for (uint32_t a = 0; a < count; a++) {
         x[a] = work->solution[place_of(work, i, a)];
@@ -1712,29 +1719,29 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     memset(work->gain_value, 0, sizeof work->gain_value);
     memcpy(out->left_out, work->sums->guard.left_out, sizeof out->left_out);
     for (uint32_t b = 0; b < first; b++) {
-        before += zygos_accumulator_at(sums, b)->instants;
+        before += zygos_accumulator_at(sums, b)->head.total;
         out->left_out[ZYGOS_ENERGY_ROWS] +=
-            (zygos_accumulator_at(sums, b)->end != zygos_accumulator_at(sums, b + 1u)->end) ? 1u : 0u;
+            (zygos_accumulator_at(sums, b)->head.end != zygos_accumulator_at(sums, b + 1u)->head.end) ? 1u : 0u;
     }
     out->cycle = work->sums->cycle;
     out->refused = sums->refused;
     out->parameters = p;
-    out->accepted = sums->accepted - (uint64_t)(before + 0.5);
-    out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->sums->guard.left_out[ZYGOS_ENERGY_ROWS]);
-    out->blocks = sums->closed - first;
+    out->accepted = zygos_store_accepted(&sums->store) - (uint64_t)(before + 0.5);
+    out->arcs = sums->store.arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->sums->guard.left_out[ZYGOS_ENERGY_ROWS]);
+    out->blocks = sums->store.closed - first;
     if (zygos_joint_sums_suffice(&work->sums->config)) {
         out->accepted = work->sums->joints.accepted;
         out->refused = work->sums->joints.refused;
         out->arcs = (uint32_t)work->sums->joints.segments;
         out->blocks = groups_of(&work->sums->joints);
     }
-    out->since = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->end : 0u;
+    out->since = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->head.end : 0u;
     out->consecutive = work->sums->guard.consecutive[ZYGOS_ENERGY_ROWS];
     const bool joints = zygos_joint_sums_suffice(&work->sums->config);
     if (joints) {
         choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     } else {
-        choose_anew(work, p, first, sums->closed);
+        choose_anew(work, p, first, sums->store.closed);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
     if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
@@ -1864,8 +1871,8 @@ static bool may_hold_bad_arcs(const zygos_estimate_t *out)
 static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
 {
     uint32_t b = from;
-    while ((b > 0) && (b < sums->closed) &&
-           (zygos_accumulator_at(sums, b)->end == zygos_accumulator_at(sums, b - 1u)->end)) {
+    while ((b > 0) && (b < sums->store.closed) &&
+           (zygos_accumulator_at(sums, b)->head.end == zygos_accumulator_at(sums, b - 1u)->head.end)) {
         b++;
     }
     return b;
@@ -1878,14 +1885,14 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     double before = 0.0;
     double behind = 0.0;
     uint32_t arcs = 0;
-    for (uint32_t b = 0; b < sums->closed; b++) {
-        const bool last_of_arc =
-            (b + 1u == sums->closed) || (zygos_accumulator_at(sums, b + 1u)->end != zygos_accumulator_at(sums, b)->end);
-        before += (b < first) ? zygos_accumulator_at(sums, b)->instants : 0.0;
-        behind += (b < first) ? 0.0 : zygos_accumulator_at(sums, b)->instants;
+    for (uint32_t b = 0; b < sums->store.closed; b++) {
+        const bool last_of_arc = (b + 1u == sums->store.closed) || (zygos_accumulator_at(sums, b + 1u)->head.end !=
+                                                                    zygos_accumulator_at(sums, b)->head.end);
+        before += (b < first) ? zygos_accumulator_at(sums, b)->head.total : 0.0;
+        behind += (b < first) ? 0.0 : zygos_accumulator_at(sums, b)->head.total;
         arcs += ((b >= first) && last_of_arc) ? 1u : 0u;
     }
-    return (first + ZYGOS_MIN_BLOCKS <= sums->closed) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
+    return (first + ZYGOS_MIN_BLOCKS <= sums->store.closed) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
 /* Vectors of the solver, and those of an estimate that is put aside, beside which one has its flags. */
@@ -1951,7 +1958,7 @@ static void give_back(zygos_solver_t *work)
 /* The free block with the last place; there is one while fewer than all are in use. */
 static double *free_triangle(zygos_accumulator_t *sums)
 {
-    return sums->block[sums->order[ZYGOS_MAX_BLOCKS - 1]].gram;
+    return sums->block[sums->store.order[ZYGOS_MAX_BLOCKS - 1]].gram;
 }
 
 /* What comes before the vectors of an estimate. */
@@ -1991,7 +1998,7 @@ static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
     const zygos_accumulator_t *sums = &work->sums->energy;
     int answer = solve_from(work, out, 0, NULL);
     if ((work->sums->guard.adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out) ||
-        (sums->count >= (uint32_t)ZYGOS_MAX_BLOCKS)) {
+        (sums->store.count >= (uint32_t)ZYGOS_MAX_BLOCKS)) {
         return answer;
     }
     const residuals_t all = { .noise_ratio = out->noise_ratio, .cluster = out->cluster };
@@ -2001,7 +2008,7 @@ static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
     bool better = false;
     put_aside(work, out, &head, false);
     for (uint32_t quarter = 1; !better && (quarter <= 2u); quarter++) {
-        const uint32_t next = next_arc(sums, quarter * sums->closed / 4u);
+        const uint32_t next = next_arc(sums, quarter * sums->store.closed / 4u);
         if ((next > first) && several_behind(sums, next)) {
             first = next;
             answer = solve_from(work, out, first, &all);
@@ -2159,19 +2166,19 @@ static int detect_in_joints(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
 static int detect_in_energy(zygos_solver_t *work, uint32_t p, bool guarded, zygos_estimate_t *out, double *deviation)
 {
     const zygos_accumulator_t *sums = &work->sums->energy;
-    out->blocks = sums->newest;
-    if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->closed)) {
+    out->blocks = sums->store.newest;
+    if ((sums->store.newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->store.newest == sums->store.closed)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
-    out->cycle = zygos_accumulator_at(sums, sums->newest - 1u)->end;
+    out->cycle = zygos_accumulator_at(sums, sums->store.newest - 1u)->head.end;
     uint32_t rank = 0;
     double scaled[ZYGOS_MAX_PARAMETERS];
-    choose_anew(work, p, 0, sums->newest);
+    choose_anew(work, p, 0, sums->store.newest);
     if (!solve_before(work, p, out, scaled)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
     const reference_t reference = reference_of(work, p);
-    choose(work, p, sums->newest, sums->closed);
+    choose(work, p, sums->store.newest, sums->store.closed);
     const double known[4] = { out->signal_to_noise, out->cluster, out->residual, out->noise_ratio };
     const bool solved = solve_chosen(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &reference));
     if (solved && !closes(work, p, out)) {
@@ -2203,7 +2210,7 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     const bool guarded = (work->sums.guard.known != 0);
     const bool joints = (work->sums.config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->sums.config);
     const bool settled = zygos_sums_settle_copy(&work->sums);
-    work->sums.guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
+    work->sums.guard.known = (guarded && (joints || ((double)sums->store.arc_instants < sums->store.enough))) ? 1u : 0u;
     if (!settled || !zygos_sums_end_copy(&work->sums)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }

@@ -7,21 +7,18 @@
 
 /* ---------------------------------------------------------------- one kind of rows */
 
-static bool is_energy(uint32_t kind)
+zygos_store_t *zygos_sums_store(zygos_sums_t *self, uint32_t kind)
 {
-    return kind == (uint32_t)ZYGOS_ENERGY_ROWS;
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        return &self->energy.store;
+    }
+    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors.store : &self->momentum.store;
 }
 
-/* Of motor or momentum rows. */
+/* The same, for who only reads. */
 static const zygos_store_t *store_of(const zygos_sums_t *self, uint32_t kind)
 {
-    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors.store : &self->momentum.store;
-}
-
-/* The same, for who changes it. */
-static zygos_store_t *changed(zygos_sums_t *self, uint32_t kind)
-{
-    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors.store : &self->momentum.store;
+    return zygos_sums_store((zygos_sums_t *)(uintptr_t)self, kind);
 }
 
 void zygos_sums_drop_waiting(zygos_sums_t *self, uint32_t kind)
@@ -45,10 +42,10 @@ void zygos_sums_clear(zygos_sums_t *self, uint32_t kind)
         zygos_accumulator_init(&self->energy, self->column_map.parameters, config->arc_cycles, config->period_s);
         break;
     case ZYGOS_MOTOR_ROWS:
-        zygos_store_clear(&self->motors.store, kind, config->impulse_arc_cycles);
+        zygos_store_clear(&self->motors.store, kind, 2.0 * (double)config->impulse_arc_cycles, 0.0);
         break;
     case ZYGOS_MOMENTUM_ROWS:
-        zygos_store_clear(&self->momentum.store, kind, config->momentum_arc_cycles);
+        zygos_store_clear(&self->momentum.store, kind, 2.0 * (double)config->momentum_arc_cycles, 0.0);
         break;
     default:
         zygos_joint_sums_clear(&self->joints);
@@ -73,54 +70,41 @@ bool zygos_sums_is_intact(const zygos_sums_t *self, uint32_t kind, const zygos_c
 
 bool zygos_sums_is_busy(const zygos_sums_t *self, uint32_t kind)
 {
-    return is_energy(kind) ? zygos_accumulator_busy(&self->energy) : (store_of(self, kind)->task != ZYGOS_STORE_NONE);
+    return zygos_store_busy(store_of(self, kind), kind);
 }
 
-/* Whether no task changes the sums of closed arcs, and no arc waits for its admission. */
-static bool rests(const zygos_sums_t *self, uint32_t kind)
+bool zygos_sums_has_work(const zygos_sums_t *self, uint32_t kind)
 {
-    return is_energy(kind) ? zygos_accumulator_rests(&self->energy) : !zygos_sums_is_busy(self, kind);
+    return zygos_store_has_work(store_of(self, kind), kind);
 }
 
 bool zygos_sums_can_close(const zygos_sums_t *self, uint32_t kind)
 {
-    const bool fading = (self->config.forgetting_factor < 1.0);
-    return is_energy(kind) ? !zygos_accumulator_closing(&self->energy) && (!fading || rests(self, kind))
-                           : !zygos_sums_is_busy(self, kind);
+    return zygos_store_can_close(store_of(self, kind), kind, self->config.forgetting_factor < 1.0);
 }
 
 bool zygos_sums_is_short(const zygos_sums_t *self, uint32_t kind)
 {
-    return is_energy(kind) ? zygos_accumulator_is_short(&self->energy)
-                           : zygos_store_is_short(store_of(self, kind), kind);
+    return zygos_store_is_short(store_of(self, kind));
 }
 
 /* Ends the open arc, without a task. */
 static void close_arc(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 {
-    if (is_energy(kind)) {
-        (void)zygos_accumulator_close(&self->energy, cycle, self->arc);
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        self->energy.store.cycles = self->arc;
         self->arc = 0;
-    } else {
-        zygos_store_close(changed(self, kind), kind, cycle);
     }
-}
-
-static void forget(zygos_sums_t *self, uint32_t kind, double factor)
-{
-    if (is_energy(kind)) {
-        zygos_accumulator_forget(&self->energy, factor);
-    } else {
-        zygos_store_forget(changed(self, kind), kind, factor);
-    }
+    zygos_store_close(zygos_sums_store(self, kind), kind, cycle);
 }
 
 void zygos_sums_end_arc(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 {
-    if (rests(self, kind)) {
+    zygos_store_t *store = zygos_sums_store(self, kind);
+    if (zygos_store_rests(store)) {
         const double factor = zygos_kept_share(&self->config, self->forgetting[kind]);
         if (factor < 1.0) {
-            forget(self, kind, factor);
+            zygos_store_forget(store, kind, factor);
         }
         self->forgetting[kind] = 1.0;
     }
@@ -129,19 +113,16 @@ void zygos_sums_end_arc(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 
 void zygos_sums_drop_after(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 {
-    if (is_energy(kind)) {
-        zygos_accumulator_drop_after(&self->energy, cycle);
-    } else if (kind == ZYGOS_JOINT_KIND) {
+    if (kind == ZYGOS_JOINT_KIND) {
         zygos_joint_sums_drop_after(&self->joints, cycle);
     } else {
-        zygos_store_drop_after(changed(self, kind), kind, cycle);
+        zygos_store_drop_after(zygos_sums_store(self, kind), kind, cycle);
     }
 }
 
 uint32_t zygos_sums_drop_until(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
 {
-    return is_energy(kind) ? zygos_accumulator_drop_until(&self->energy, cycle)
-                           : zygos_store_drop_until(changed(self, kind), kind, cycle);
+    return zygos_store_drop_until(zygos_sums_store(self, kind), kind, cycle);
 }
 
 static bool scrub(zygos_sums_t *self, uint32_t kind)
@@ -151,20 +132,14 @@ static bool scrub(zygos_sums_t *self, uint32_t kind)
         zygos_sums_clear(self, kind); /* rows that nobody adds must not stop those that are */
         return true;
     }
-    if (is_energy(kind)) {
-        return zygos_accumulator_scrub(&self->energy, self->column_map.parameters);
-    }
     return (kind == ZYGOS_JOINT_KIND) ? zygos_joint_sums_scrub(&self->joints, &self->config, &self->column_map)
-                                      : zygos_store_scrub(changed(self, kind), kind);
+                                      : zygos_store_scrub(zygos_sums_store(self, kind), kind);
 }
 
-static double check(const zygos_sums_t *self, uint32_t kind)
+static bool is_whole(const zygos_sums_t *self, uint32_t kind)
 {
-    if (is_energy(kind)) {
-        return zygos_accumulator_check(&self->energy);
-    }
-    return (kind == ZYGOS_JOINT_KIND) ? zygos_joint_sums_check(&self->joints)
-                                      : zygos_store_check(store_of(self, kind), kind);
+    return (kind == ZYGOS_JOINT_KIND) ? zygos_joint_sums_is_whole(&self->joints)
+                                      : zygos_store_is_whole(store_of(self, kind), kind);
 }
 
 void zygos_sums_end_waiting(zygos_sums_t *self, uint32_t kind)
@@ -212,7 +187,7 @@ bool zygos_sums_are_intact(const zygos_sums_t *self)
 
 uint32_t zygos_sums_quarantined(const zygos_sums_t *self)
 {
-    return self->energy.quarantined + self->motors.store.quarantined + self->momentum.store.quarantined +
+    return self->energy.store.quarantined + self->motors.store.quarantined + self->momentum.store.quarantined +
            self->joints.quarantined;
 }
 
@@ -230,16 +205,16 @@ uint32_t zygos_sums_scrub(zygos_sums_t *self)
 
 void zygos_sums_apply_fade(zygos_sums_t *self)
 {
-    zygos_accumulator_apply_fade(&self->energy);
-    zygos_store_apply_fade(&self->motors.store, (uint32_t)ZYGOS_MOTOR_ROWS);
-    zygos_store_apply_fade(&self->momentum.store, (uint32_t)ZYGOS_MOMENTUM_ROWS);
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        zygos_store_apply_fade(zygos_sums_store(self, kind), kind);
+    }
 }
 
 bool zygos_sums_match(const zygos_sums_t *self)
 {
     bool good = true;
     for (uint32_t kind = 0; good && (kind < ZYGOS_KINDS_OF_SUMS); kind++) {
-        good = (check(self, kind) <= 1.0);
+        good = is_whole(self, kind);
     }
     return good;
 }
@@ -294,5 +269,5 @@ bool zygos_sums_end_copy(zygos_sums_t *self)
     }
     zygos_sums_apply_fade(self);
     return (zygos_sums_quarantined(self) == before) &&
-           ((self->energy.corrupt | self->motors.store.corrupt | self->momentum.store.corrupt) == 0);
+           ((self->energy.store.corrupt | self->motors.store.corrupt | self->momentum.store.corrupt) == 0);
 }

@@ -374,10 +374,8 @@ static bool decode(zygos_t *self, bool all)
 /* A comparison with the adopted estimate should not begin with one and end with another. */
 static bool is_comparing(const zygos_arm_t *arm)
 {
-    const uint32_t motors = arm->sums.motors.store.task;
-    return zygos_accumulator_closing(&arm->sums.energy) ||
-           ((motors >= ZYGOS_STORE_VERIFY) && (motors <= ZYGOS_STORE_JUDGE)) ||
-           (arm->sums.momentum.store.task == ZYGOS_STORE_JUDGE) || (arm->sums.ending != 0);
+    return zygos_store_closing(&arm->sums.energy.store) || zygos_store_closing(&arm->sums.motors.store) ||
+           (arm->sums.momentum.store.task == ZYGOS_TASK_JUDGE) || (arm->sums.ending != 0);
 }
 
 /* Where sums are dropped, tasks would have to be finished at once. */

@@ -45,9 +45,6 @@ extern "C" {
 #error "ZYGOS_MAX_BLOCKS must be 11..128"
 #endif
 
-/// The length of an array of places of blocks: whole words of eight bytes.
-#define ZYGOS_ORDER_PLACES ((ZYGOS_MAX_BLOCKS + 7) / 8 * 8)
-
 /// The number of complete cycles that may wait for zygos_step(), including the one that it processes.
 #ifndef ZYGOS_CYCLE_QUEUE
 #define ZYGOS_CYCLE_QUEUE 8
@@ -90,8 +87,8 @@ extern "C" {
 #ifndef ZYGOS_MAX_MOMENTUM_BLOCKS
 #define ZYGOS_MAX_MOMENTUM_BLOCKS 16
 #endif
-#if (ZYGOS_MAX_MOMENTUM_BLOCKS < 4) || (ZYGOS_MAX_MOMENTUM_BLOCKS > 256) || (ZYGOS_MAX_MOMENTUM_BLOCKS % 2 != 0)
-#error "ZYGOS_MAX_MOMENTUM_BLOCKS must be even, 4..256"
+#if (ZYGOS_MAX_MOMENTUM_BLOCKS < 4) || (ZYGOS_MAX_MOMENTUM_BLOCKS > 128) || (ZYGOS_MAX_MOMENTUM_BLOCKS % 2 != 0)
+#error "ZYGOS_MAX_MOMENTUM_BLOCKS must be even, 4..128"
 #endif
 
 /// 1: the build has memory for joint rows. 0: it has none, which makes every struct smaller.
@@ -106,8 +103,18 @@ extern "C" {
 #ifndef ZYGOS_MAX_MOTOR_BLOCKS
 #define ZYGOS_MAX_MOTOR_BLOCKS 32
 #endif
-#if (ZYGOS_MAX_MOTOR_BLOCKS < 4) || (ZYGOS_MAX_MOTOR_BLOCKS > 256) || (ZYGOS_MAX_MOTOR_BLOCKS % 2 != 0)
-#error "ZYGOS_MAX_MOTOR_BLOCKS must be even, 4..256"
+#if (ZYGOS_MAX_MOTOR_BLOCKS < 4) || (ZYGOS_MAX_MOTOR_BLOCKS > 128) || (ZYGOS_MAX_MOTOR_BLOCKS % 2 != 0)
+#error "ZYGOS_MAX_MOTOR_BLOCKS must be even, 4..128"
+#endif
+
+/// The length of an array of places of blocks: whole words of eight bytes. Motor and momentum rows have one more block,
+/// for the open arc.
+#if (ZYGOS_MAX_MOTOR_BLOCKS >= ZYGOS_MAX_BLOCKS) && (ZYGOS_MAX_MOTOR_BLOCKS >= ZYGOS_MAX_MOMENTUM_BLOCKS)
+#define ZYGOS_ORDER_PLACES ((ZYGOS_MAX_MOTOR_BLOCKS + 8) / 8 * 8)
+#elif ZYGOS_MAX_MOMENTUM_BLOCKS >= ZYGOS_MAX_BLOCKS
+#define ZYGOS_ORDER_PLACES ((ZYGOS_MAX_MOMENTUM_BLOCKS + 8) / 8 * 8)
+#else
+#define ZYGOS_ORDER_PLACES ((ZYGOS_MAX_BLOCKS + 7) / 8 * 8)
 #endif
 
 /// The number of groups of the joint rows.

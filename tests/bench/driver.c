@@ -65,17 +65,15 @@ static uint32_t shared(const zygos_accumulator_t *sums, uint32_t behind)
     return sums->buffer[(sums->filling + behind) % ZYGOS_ROW_BUFFERS].shared;
 }
 
-/* The part of a task that a cycle does, or what decides which one begins, and what is added from buffers beside it. */
-static uint32_t energy_task(const zygos_accumulator_t *sums)
+/* The part of a task that a cycle does, or what decides which one begins. */
+static uint32_t task_of(const zygos_store_t *store, uint32_t kind, uint32_t places)
 {
-    const uint32_t waiting = (shared(sums, 1u) << 24u) | (shared(sums, 2u) << 19u);
-    const uint32_t unused = (uint32_t)ZYGOS_MAX_BLOCKS - sums->count;
-    const uint32_t closing = zygos_accumulator_closing(sums) ? 1u : 0u;
-    const uint32_t noise = ((closing == 1u) && (sums->rank >= sums->fresh)) ? 1u : 0u;
-    const uint32_t lacking = (unused < ZYGOS_SPARE_BLOCKS) ? 1u : 0u;
-    const uint32_t dirty = (unused > sums->ready) ? 1u : 0u;
-    return waiting | (sums->task << 16u) | (closing << 15u) | (noise << 14u) | (lacking << 13u) | (dirty << 12u) |
-           ((sums->task != ZYGOS_TASK_NONE) ? sums->row : 0u);
+    const uint32_t closing = zygos_store_closing(store) ? 1u : 0u;
+    const uint32_t noise = ((closing == 1u) && zygos_store_is_noise(store)) ? 1u : 0u;
+    const uint32_t work = zygos_store_has_work(store, kind) ? 1u : 0u;
+    const uint32_t dirty = (places - store->count > store->ready) ? 1u : 0u;
+    return (store->task << 16u) | (closing << 15u) | (noise << 14u) | (work << 13u) | (dirty << 12u) |
+           ((store->task != ZYGOS_TASK_NONE) ? (store->part << 8u) | store->row : 0u);
 }
 
 /* What counts instructions sees this call behind each cycle, and behind the background's work that follows it. */
@@ -90,8 +88,11 @@ static place_t step(uint32_t frames)
     const zygos_accumulator_t *sums = &arm->sums.energy;
     const zygos_config_t *config = &arm->sums.config;
     const double segment = sums->segment;
-    const uint32_t blocks = sums->count;
-    const uint32_t arcs = sums->arcs + sums->arcs_dropped;
+    const zygos_store_t *store = &sums->store;
+    const zygos_store_t *motor_store = &arm->sums.motors.store;
+    const zygos_store_t *momentum_store = &arm->sums.momentum.store;
+    const uint32_t blocks = store->count;
+    const uint32_t arcs = store->arcs + store->arcs_dropped;
     const zygos_joint_sums_t *joints = &arm->sums.joints;
     const uint64_t segments = joints->segments;
     const uint64_t instants = joints->accepted + joints->refused;
@@ -103,32 +104,35 @@ static place_t step(uint32_t frames)
     /* rows that wait are added where none is formed; elsewhere only whether there are any decides */
     const uint32_t added = (row == 0) ? joints->pass * joints->width + joints->row : 0u;
     const uint32_t waits = (joints->waiting > 0) ? 1u + added : 0u;
-    const uint32_t tasks[3] = { sums->task, arm->sums.motors.store.task, arm->sums.momentum.store.task };
-    const uint32_t of_energy = energy_task(sums);
-    const uint32_t of_motors = (arm->sums.motors.store.task << 16u) | arm->sums.motors.store.part;
-    const uint32_t of_momentum = (arm->sums.momentum.store.task << 16u) | arm->sums.momentum.store.row;
+    const uint32_t tasks[3] = { store->task, motor_store->task, momentum_store->task };
+    const uint32_t of_energy = task_of(store, ZYGOS_ENERGY_ROWS, ZYGOS_MAX_BLOCKS) | (shared(sums, 1u) << 24u) |
+                               (shared(sums, 2u) << 19u); /* and what is added from buffers beside it */
+    const uint32_t of_motors = task_of(motor_store, ZYGOS_MOTOR_ROWS, ZYGOS_MAX_MOTOR_BLOCKS + 1u);
+    const uint32_t of_momentum = task_of(momentum_store, ZYGOS_MOMENTUM_ROWS, ZYGOS_MOMENTUM_PLACES + 1u);
+    const bool work[2] = { zygos_store_has_work(motor_store, ZYGOS_MOTOR_ROWS),
+                           zygos_store_has_work(momentum_store, ZYGOS_MOMENTUM_ROWS) };
     const uint32_t ending = arm->sums.ending;
-    const bool has_work = zygos_accumulator_has_work(sums);
+    const bool has_work = zygos_store_has_work(store, ZYGOS_ENERGY_ROWS);
     const uint32_t stage = loop.stage;
     const uint32_t patrol = (loop.patrol.region << 16u) | loop.patrol.offset;
     (void)zygos_step(&loop);
     driver_mark();
-    const bool turned = (sums->task != tasks[0]) || (arm->sums.motors.store.task != tasks[1]) ||
-                        (arm->sums.momentum.store.task != tasks[2]);
+    const bool turned =
+        (store->task != tasks[0]) || (motor_store->task != tasks[1]) || (momentum_store->task != tasks[2]);
     /* a cycle that is for the tasks of the energy rows asks nothing of the others */
     const uint32_t yields = (has_work && ((arm->cycles & 1u) == 0u)) ? 1u << 31u : 0u;
     /* what else a cycle has done, of which one part is enough: a joint row, or a task of the other rows */
-    const bool motors = (yields == 0) && (tasks[1] != ZYGOS_STORE_NONE);
-    const bool momentum = (yields == 0) && (tasks[2] != ZYGOS_STORE_NONE);
+    const bool motors = (yields == 0) && work[0];
+    const bool momentum = (yields == 0) && work[1];
     const uint32_t busy = ((row > 0) && (complete == 1u)) ? 3u : (motors ? 2u : (momentum ? 1u : 0u));
     const bool energy = (config->arc_cycles > 0);
     const bool instant = energy ? (arm->instant == 1) : (joints->accepted + joints->refused != instants);
     const uint32_t left = config->joint_row_cycles / 2u - arm->joint.position;
     const bool others = ((config->impulse_arc_cycles > 0) && (arm->sums.motors.store.cycles <= 1)) ||
                         ((config->momentum_arc_cycles > 0) && (arm->sums.momentum.store.cycles <= 1));
-    const bool edge = others || (energy && ((sums->arcs + sums->arcs_dropped != arcs) || (arm->sums.arc <= 1)));
+    const bool edge = others || (energy && ((store->arcs + store->arcs_dropped != arcs) || (arm->sums.arc <= 1)));
     const bool first = (arm->sums.arc <= (uint32_t)ZYGOS_BUFFER_ROWS); /* nothing is shared out yet */
-    const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
+    const bool opened = (sums->segment < segment) || (store->count != blocks) || (first && (sums->filled == 0));
     const bool block = (energy && opened) || turned || (joints->segments != segments);
     const uint32_t kind = edge ? KIND_ARC : (block ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;

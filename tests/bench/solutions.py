@@ -102,9 +102,9 @@ def bound(flown: Flight) -> Bound:
     joints_alone = flown.joints_alone
     energy, motors, momenta = (
         0 if joints_alone else int(count)
-        for count in (work.sums.energy.closed, work.sums.motors.store.count, work.sums.momentum.store.count)
+        for count in (work.sums.energy.store.closed, work.sums.motors.store.closed, work.sums.momentum.store.closed)
     )
-    rows = [float(group.count) for group in work.sums.joints.group][:-1]
+    rows = [float(count) for count in work.sums.joints.count][:-1]
     joints = sum(rows) > 0.0
     weighing = 1
     if not joints_alone:

@@ -67,7 +67,7 @@ def test_it_answers_for_hours(arm: Arm, model: Model, scenario: Scenario) -> Non
             assert len(blocks[kind]) >= LEAST_ARCS
             # of three blocks that hold whole arcs, where the next one begins
             assert max(blocks[kind]) < 0.75 * sum(blocks[kind])
-    assert run.native.sums.energy.arcs >= 280
+    assert run.native.sums.energy.store.arcs >= 280
 
 
 def estimated(arm: Arm, runs: Sequence[Floats]) -> tuple[Floats, Floats]:

@@ -97,7 +97,7 @@ def test_what_is_saved_is_the_librarys_own_memory(
     faults = {name.removeprefix("fault_"): n for name, n in counters.items() if name.startswith("fault_")}
     counts = {name.removeprefix("count_"): n for name, n in counters.items() if name.startswith("count_")}
     assert faults == flight.faults
-    assert counts == flight.counts | {"arcs": flight.native.sums.energy.arcs}
+    assert counts == flight.counts | {"arcs": flight.native.sums.energy.store.arcs}
     expected = {"length", "crc", "range", "late", "repeated", "incomplete", "dropped", "bus_error", "counter"}
     assert {name for name, n in faults.items() if n} == expected
     assert [counters[f"node_{name}"] for name in NODE] == 6 * [0]

@@ -83,7 +83,7 @@ def test_what_stays_grows_with_the_arcs_beside_a_scatter_that_falls_with_them() 
     assert lib.zygos_arm_end_arcs(state) == 1
     long = flight.estimate()
     fade = 1e-4
-    lib.zygos_accumulator_forget(ffi.addressof(state, "sums", "energy"), fade)
+    lib.zygos_store_forget(ffi.addressof(state, "sums", "energy", "store"), lib.ZYGOS_ENERGY_ROWS, fade)
     lib.zygos_store_forget(ffi.addressof(state, "sums", "motors", "store"), lib.ZYGOS_MOTOR_ROWS, fade)
     short = flight.estimate()
     np.testing.assert_allclose(long.value, short.value, rtol=1e-9)

@@ -261,7 +261,7 @@ int main(int count, char **argument)
     printf("foreign %" PRIu64 "\naccepted %" PRIu64 "\nrejected %" PRIu64 "\ncycles %" PRIu64 "\nsolved %" PRIu64
            "\nrows %" PRIu64 "\n",
            verdicts[ZYGOS_FOREIGN], verdicts[ZYGOS_ACCEPTED], verdicts[ZYGOS_REJECTED], arm.cycles, solved,
-           (uint64_t)arm.sums.energy.accepted);
+           (uint64_t)zygos_store_accepted(&arm.sums.energy.store));
     uint32_t counters[FAULTS];
     memcpy(counters, &arm.receiver.faults, sizeof counters);
     for (size_t i = 0; i < FAULTS; i++) {

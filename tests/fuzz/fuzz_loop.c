@@ -134,11 +134,11 @@ static void spoil_counts(void)
 {
     zygos_arm_t *state = &arm.state;
     uint32_t *const count[] = { &state->sums.config.joints,        &state->sums.energy.width,
-                                &state->sums.energy.count,         &state->sums.motors.store.count,
+                                &state->sums.energy.store.count,   &state->sums.motors.store.count,
                                 &state->sums.momentum.store.count, &state->sums.guard.parameters,
                                 &state->sums.momentum.columns,     &state->sums.joints.width,
                                 &state->sums.joints.target,        &state->sums.joints.adding,
-                                &state->sums.energy.filling,       &state->sums.energy.parity };
+                                &state->sums.energy.filling,       &state->sums.energy.store.parity };
     for (uint32_t times = 1u + below(3); times > 0; times--) {
         *count[below(12)] = (below(2) == 0) ? (uint32_t)draw() : below(300);
     }

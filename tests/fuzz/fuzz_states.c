@@ -80,7 +80,7 @@ typedef struct {
     size_t size;
 } region_t;
 
-#define REGIONS (20u + ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES)
+#define REGIONS (22u + ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES)
 #define BETWEEN(type, first, end)                                                                                      \
     {                                                                                                                  \
         offsetof(type, first), offsetof(type, end) - offsetof(type, first)                                             \
@@ -88,19 +88,16 @@ typedef struct {
 
 static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints, size_t momenta)
 {
-    static const region_t scalars[4] = { BETWEEN(zygos_accumulator_t, width, buffer),
-                                         BETWEEN(zygos_store_t, count, scan),
+    static const region_t scalars[4] = { BETWEEN(zygos_accumulator_t, width, mean), BETWEEN(zygos_store_t, count, scan),
                                          BETWEEN(zygos_motor_sums_t, column_map, noise),
-                                         BETWEEN(zygos_momentum_sums_t, columns, noise_arc) };
+                                         BETWEEN(zygos_momentum_sums_t, columns, noise_open) };
     uint32_t n = 0;
-    out[n++] = (region_t){ accumulator, scalars[0].size };
+    out[n++] = (region_t){ accumulator + scalars[0].offset, scalars[0].size };
+    out[n++] = (region_t){ accumulator, scalars[1].size };
     out[n++] = (region_t){ joints, scalars[1].size };
     out[n++] = (region_t){ momenta, scalars[1].size };
     out[n++] = (region_t){ joints + scalars[2].offset, scalars[2].size };
     out[n++] = (region_t){ momenta + scalars[3].offset, scalars[3].size };
-    out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, open.head), 24 };
-    out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, open.head), 24 };
-    out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, order), ZYGOS_ORDER_PLACES };
     for (uint32_t s = 0; s < ZYGOS_ROW_BUFFERS; s++) {
         out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, buffer) + s * sizeof(zygos_row_buffer_t) +
                                    offsetof(zygos_row_buffer_t, instants),
@@ -108,18 +105,18 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
     }
     for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
         out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, block) + b * sizeof(zygos_block_t) +
-                                   offsetof(zygos_block_t, instants),
-                               32 };
+                                   offsetof(zygos_block_t, square),
+                               56 };
     }
-    for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
+    for (uint32_t b = 0; b <= ZYGOS_MAX_MOTOR_BLOCKS; b++) {
         out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, block) + b * sizeof(zygos_motor_block_t) +
                                    offsetof(zygos_motor_block_t, head),
-                               16 };
+                               24 };
     }
-    for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
+    for (uint32_t b = 0; b <= ZYGOS_MOMENTUM_PLACES; b++) {
         out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, block) + b * sizeof(zygos_momentum_block_t) +
                                    offsetof(zygos_momentum_block_t, head),
-                               16 };
+                               24 };
     }
     return n;
 }
@@ -183,53 +180,36 @@ static void change(void *memory, size_t size, const region_t *region, uint32_t r
 }
 
 /* Whoever can change a state can seal it, too: what lies behind the seals must hold by itself. */
-static void forge_energy(zygos_accumulator_t *sums)
-{
-    enum { MEMBERS = 11, PLACES = ZYGOS_ORDER_PLACES / 8 };
-    const uint32_t width = (sums->width < (uint32_t)ZYGOS_MAX_ROW) ? sums->width : (uint32_t)ZYGOS_MAX_ROW;
-    uint64_t word[MEMBERS + PLACES] = {
-        0, 0, sums->width, sums->count, sums->closed, sums->fresh, sums->newest, sums->window, sums->ready, sums->arcs
-    };
-    memcpy(&word[0], &sums->enough, sizeof word[0]);
-    memcpy(&word[1], &sums->target, sizeof word[0]);
-    memcpy(&word[10], &sums->noise_fade, sizeof word[0]);
-    memcpy(&word[MEMBERS], sums->order, sizeof sums->order);
-    sums->checksum = zygos_checksum_words(0, word, MEMBERS + PLACES);
-    sums->twin = zygos_accumulator_twin(sums);
-    for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
-        zygos_block_t *block = &sums->block[b];
-        const double weights[6] = { block->instants, block->square,      block->overlap,
-                                    block->fade,     block->variance[0], block->variance[1] };
-        const double *deviation = &block->gram[(width > 0) ? zygos_gram_entries(width - 1u) : 0u];
-        const uint64_t checksum = zygos_checksum_doubles(zygos_checksum_doubles(1u, deviation, width), weights, 6);
-        block->checksum = (block->checksum == 0) ? 0u : zygos_checksum_number(checksum, block->end);
-    }
-}
-
 static void forge_store(zygos_store_t *store)
 {
-    const double numbers[2] = { store->target, store->noise_fade };
-    store->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, numbers, 2), store->count);
+    store->checksum = zygos_checksum_memory(0u, store, (uint32_t)offsetof(zygos_store_t, checksum));
     store->twin = zygos_store_twin(store);
 }
 
-static void forge_head(zygos_block_head_t *head, uint64_t checksum)
+/* From the first number that is under the checksum; it continues with what was before. */
+static void forge_head(zygos_block_head_t *head, const void *first, uint64_t checksum)
 {
-    const double numbers[2] = { head->total, head->fade };
-    head->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, numbers, 2), head->end);
+    const uint32_t bytes = (uint32_t)((const unsigned char *)&head->checksum - (const unsigned char *)first);
+    head->checksum = (head->checksum == 0) ? 0u : zygos_checksum_memory(checksum, first, bytes);
 }
 
 static void forge(zygos_accumulator_t *sums, zygos_motor_sums_t *joints, zygos_momentum_sums_t *momenta)
 {
-    forge_energy(sums);
+    const uint32_t width = (sums->width < (uint32_t)ZYGOS_MAX_ROW) ? sums->width : (uint32_t)ZYGOS_MAX_ROW;
+    forge_store(&sums->store);
+    sums->twin = zygos_accumulator_twin(sums);
+    for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
+        zygos_block_t *block = &sums->block[b];
+        const double *deviation = &block->gram[(width > 0) ? zygos_gram_entries(width - 1u) : 0u];
+        forge_head(&block->head, &block->square, zygos_checksum_doubles(1u, deviation, width));
+    }
     forge_store(&joints->store);
-    for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
-        zygos_motor_block_t *block = &joints->block[b];
-        forge_head(&block->head, zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS));
+    for (uint32_t b = 0; b <= ZYGOS_MAX_MOTOR_BLOCKS; b++) {
+        forge_head(&joints->block[b].head, joints->block[b].instants, 1u);
     }
     forge_store(&momenta->store);
-    for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
-        forge_head(&momenta->block[b].head, 1u);
+    for (uint32_t b = 0; b <= ZYGOS_MOMENTUM_PLACES; b++) {
+        forge_head(&momenta->block[b].head, &momenta->block[b].head, 1u);
     }
 }
 

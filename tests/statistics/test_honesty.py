@@ -108,16 +108,18 @@ def sums_of(flight: Flight) -> list[tuple[int, int]]:
     row, noise = 4 * (p + 2) * (p + 3), 4 * (p + 1) * (p + 2)
     at = ffi.offsetof("zygos_arm_t", "sums", "energy")
     block, buffer = ffi.sizeof("zygos_block_t"), ffi.sizeof("zygos_row_buffer_t")
-    shares = ("noise_open", sums.parity), ("noise_open", sums.parity ^ 1), ("noise_closed", 0)
+    shares = ("noise_open", sums.store.parity), ("noise_open", sums.store.parity ^ 1), ("noise_closed", 0)
     own = ffi.sizeof("zygos_noise_sums_t")
     out = [(at + ffi.offsetof("zygos_accumulator_t", name) + n * own, noise) for name, n in shares]
-    out += [(at + ffi.offsetof("zygos_accumulator_t", "block") + b * block, row) for b in range(sums.count)]
+    out += [
+        (at + ffi.offsetof("zygos_accumulator_t", "block") + b * block, row)
+        for b in sums.store.order[0 : sums.store.count]
+    ]
     out += [(at + ffi.offsetof("zygos_accumulator_t", "buffer") + b * buffer, row) for b in range(2)]
     at = ffi.offsetof("zygos_arm_t", "sums", "motors")
     own, whole = ffi.sizeof("zygos_motor_gram_t"), ffi.sizeof("zygos_motor_block_t")
-    places = [at + ffi.offsetof("zygos_motor_sums_t", "open")]
-    first = at + ffi.offsetof("zygos_motor_sums_t", "block")
-    places += [first + b * whole for b in range(flight.native.sums.motors.store.count)]
+    first, store = at + ffi.offsetof("zygos_motor_sums_t", "block"), flight.native.sums.motors.store
+    places = [first + b * whole for b in store.order[0 : store.count]]
     return out + [(place + i * own, 8 * 15) for place in places for i in range(arm.n)]
 
 
@@ -153,8 +155,8 @@ def test_a_wrong_count_of_an_arc_is_noticed(bit: int) -> None:
     run, _ = lively()
     flight = Flight(run.arm)
     flight.cycles(read(run, 5))
-    flight.native.sums.energy.arc_instants ^= 1 << bit
-    assert flight.native.sums.energy.arc_instants >= lib.ZYGOS_MIN_ARC_INSTANTS_VALUE
+    flight.native.sums.energy.store.arc_instants ^= 1 << bit
+    assert flight.native.sums.energy.store.arc_instants >= lib.ZYGOS_MIN_ARC_INSTANTS_VALUE
     assert flight.estimate().reason == CORRUPT
 
 

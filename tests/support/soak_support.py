@@ -9,7 +9,7 @@ from runs_support import trajectory_of
 
 from zygos.arm import Arm
 from zygos.model.model import Model
-from zygos.native.flight import Flight, ffi, lib
+from zygos.native.flight import Flight, closed_blocks, ffi, lib
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.simulation.scenario import Scenario
 
@@ -57,11 +57,8 @@ def instants(flight: Flight) -> dict[str, list[float]]:
     """Of the blocks of closed arcs."""
     energy, motors, momentum = flight.native.sums.energy, flight.native.sums.motors, flight.native.sums.momentum
     return {
-        "energy": [
-            energy.block[place].fade * energy.block[place].instants for place in energy.order[0 : energy.closed]
-        ],
-        "motors": [block.head.fade * block.head.total for block in motors.block[0 : motors.store.count]],
-        "momentum": [block.head.fade * block.head.total for block in momentum.block[0 : momentum.store.count]],
+        kind: [block.head.fade * block.head.total for block in closed_blocks(sums)]
+        for kind, sums in (("energy", energy), ("motors", motors), ("momentum", momentum))
     }
 
 

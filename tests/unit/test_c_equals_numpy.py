@@ -92,10 +92,10 @@ def test_bandwidth_verdicts(both: Both) -> None:
 def test_arcs_and_counts(both: Both) -> None:
     work = ffi.new("zygos_work_t *")
     lib.zygos_arm_take(both.flight.native, work)
-    lib.zygos_accumulator_end_arc(ffi.addressof(work, "sums", "energy"), work.sums.cycle)
+    assert lib.zygos_sums_end_copy(ffi.addressof(work, "sums"))
     sums, design, counts = work.sums.energy, both.chain.design, both.flight.counts
-    assert (sums.arcs, sums.arcs_dropped) == (design.arcs, design.dropped_arcs)
-    assert (sums.accepted, sums.refused) == (len(design.w), design.refused)
+    assert (sums.store.arcs, sums.store.arcs_dropped) == (design.arcs, design.dropped_arcs)
+    assert (sums.store.accepted, sums.refused) == (len(design.w), design.refused)
     assert counts["wraps"] == both.chain.samples.wraps
     assert counts["invalid"] == np.sum(~usable(both.cycles))
     assert counts["wraps"] == (4 if both.case.damaged else 2 if both.case.far else 0)

@@ -246,12 +246,12 @@ def test_a_flipped_bit_of_words_or_of_their_checksum_is_turned_back() -> None:
         memory[k] = word
     checksum = lib.zygos_checksum_words(0, memory, words)
     for bit in range(64):
-        assert lib.zygos_checksum_repair(memory, words, checksum ^ (1 << bit)) and list(memory) == right
+        assert lib.zygos_checksum_repair(memory, 8 * words, checksum ^ (1 << bit)) and list(memory) == right
         at = int(rng.integers(words))
         memory[at] ^= 1 << bit
-        assert lib.zygos_checksum_repair(memory, words, checksum) and list(memory) == right
+        assert lib.zygos_checksum_repair(memory, 8 * words, checksum) and list(memory) == right
         memory[at] ^= 1 << bit
         memory[(at + 1) % words] ^= 1 << bit
         wrong = list(memory)
-        assert not lib.zygos_checksum_repair(memory, words, checksum) and list(memory) == wrong
+        assert not lib.zygos_checksum_repair(memory, 8 * words, checksum) and list(memory) == wrong
         memory[at], memory[(at + 1) % words] = right[at], right[(at + 1) % words]

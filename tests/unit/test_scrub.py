@@ -131,7 +131,7 @@ def start(name: str) -> Start:
         return Start(flight, cycles_to_native(part(rest, 150, 150 + FURTHER)))
     at = 0
     while flight.native.waited[0] == 0:  # arcs are ended by gaps until one has to wait
-        gap = part(again(flight.arm, recording(), int(flight.native.sums.cycle) + 2, np.random.default_rng(at)), 0, 60)
+        gap = part(again(flight.arm, recording(), int(flight.native.sums.cycle) + 2, np.random.default_rng(at)), 0, 45)
         for k in range(len(gap)):
             flight.cycles(part(gap, k, k + 1))
             if flight.native.waited[0]:
@@ -424,7 +424,7 @@ def test_a_state_that_lost_its_way_does_nothing_before_it_is_scrubbed() -> None:
 def test_a_restart_makes_an_impossible_queue_possible(keep: int) -> None:
     """Whatever its indices are, and those of the motor sums that would be kept: the next cycles are processed."""
     begin = start("reception")
-    for name, members in (("queue", ("tail", "head")), ("motors", ("count", "place"))):
+    for name, members in (("queue", ("tail", "head")), ("motors", ("count", "pair"))):
         for member in members:
             flight = copy_of(begin.flight)
             place = flight.native.receiver.queue if name == "queue" else flight.native.sums.motors.store

@@ -128,14 +128,16 @@ def test_arcs_that_are_dropped_amid_tasks_leave_the_sums_whole(arm: Arm, motion:
 @pytest.mark.slow(but=["lengths[02]"])
 @pytest.mark.parametrize("lengths", [(200, 20, 200), (200, 200, 25), (60, 20, 25)])
 def test_rows_of_each_kind_wait_for_themselves(arm: Arm, motion: Cycles, lengths: tuple[int, int, int]) -> None:
-    """Arcs so short that each takes longer to close than the next one lasts: no kind of rows keeps the others waiting
-    for ever, and numpy, told which instants have no row of which kind, has the same sums."""
+    """Arcs so short that they take longer to close than the next one lasts, but for those of the motors: no kind of
+    rows keeps the others waiting for ever, and numpy, told which instants have no row of which kind, has the same
+    sums."""
     cycles = part(again(arm, motion, 1, np.random.default_rng(0)), 0, 700)
     energy, motors, momentum = (arm.period_s * n for n in lengths)
     short = replace(arm, compensate_every=1, arc_max_s=energy, impulse_arc_s=motors, momentum_max_s=momentum)
     flight = Flight(short)
     assert unlike(short, cycles, flight) == []
-    assert 0 < max(flight.native.waited) < 400
+    assert (lengths[1:] != (20, 200)) == (max(flight.native.waited) > 0)
+    assert max(flight.native.waited) < 400
 
 
 LONG = 1100

@@ -14,7 +14,7 @@ from soak_support import again, fly, settle
 
 from zygos.arm import Arm
 from zygos.model.model import Model
-from zygos.native.flight import Flight, ffi, lib
+from zygos.native.flight import Flight, closed_blocks, ffi, lib
 from zygos.reference.compare import Room, check_cycles
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import Trajectory
@@ -97,29 +97,33 @@ def test_intervals_hold_with_noise_of_the_torques(arm: Arm, model: Model, motion
     assert coverage(arm, motion, true, 0.0).min() < least
 
 
-def accumulate(sums: Any, rng: np.random.Generator, instants: int, weight: float) -> None:
+def accumulate(all_sums: Any, rng: np.random.Generator, instants: int, weight: float) -> None:
     """Rows of three columns, each of which adds 1 to the variance."""
     row = ffi.new("zygos_row_t *")
     for _ in range(instants):
         row.column[0:3] = rng.normal(size=3).tolist()
         row.work, row.variance = rng.normal(), 1.0
-        lib.zygos_accumulator_add(sums, row, weight)
-        lib.zygos_accumulator_proceed(sums)
+        lib.zygos_accumulator_add(ffi.addressof(all_sums, "energy"), row, weight)
+        lib.zygos_guard_proceed(all_sums, lib.ZYGOS_ENERGY_ROWS)
 
 
 def test_an_arc_that_is_dropped_leaves_no_variance_to_the_next() -> None:
     """Of refused instants alone, while the arc before it is closing."""
-    sums, rng = ffi.new("zygos_accumulator_t *"), np.random.default_rng(0)
-    lib.zygos_accumulator_init(sums, 3, 1000, 0.05)
+    sums, rng, kind = ffi.new("zygos_sums_t *"), np.random.default_rng(0), lib.ZYGOS_ENERGY_ROWS
+    store = ffi.addressof(sums.energy, "store")
+    lib.zygos_accumulator_init(ffi.addressof(sums, "energy"), 3, 1000, 0.05)
     accumulate(sums, rng, 200, 1.0)
-    assert lib.zygos_accumulator_close(sums, 200, 200)
+    lib.zygos_store_close(store, kind, 200)
     accumulate(sums, rng, 5, 0.0)
-    assert lib.zygos_accumulator_closing(sums)
-    assert not lib.zygos_accumulator_close(sums, 205, 5)
+    assert (store.closed, store.closing_instants) == (0, 200)
+    lib.zygos_store_close(store, kind, 205)
+    assert (store.closed, store.closing_instants) == (0, 200)
     accumulate(sums, rng, 300, 1.0)
-    lib.zygos_accumulator_end_arc(sums, 505)
-    assert sums.arcs == 2
-    assert sum(sums.block[place].variance[0] for place in sums.order[0 : sums.closed]) == pytest.approx(500.0)
+    lib.zygos_guard_settle(sums, kind)
+    lib.zygos_store_close(store, kind, 505)
+    lib.zygos_guard_settle(sums, kind)
+    assert store.arcs == 2
+    assert sum(block.variance[0] for block in closed_blocks(sums.energy)) == pytest.approx(500.0)
 
 
 def test_the_variance_of_what_is_forgotten_fades_with_it(arm: Arm, motion: Cycles) -> None:
@@ -129,13 +133,11 @@ def test_the_variance_of_what_is_forgotten_fades_with_it(arm: Arm, motion: Cycle
 
     def rates() -> list[float]:
         settle(flight)
-        sums = flight.native.sums.energy
-        closed = [sums.block[place] for place in sums.order[0 : sums.closed]]
-        return [block.variance[0] / block.instants for block in closed]
+        return [block.variance[0] / block.head.total for block in closed_blocks(flight.native.sums.energy)]
 
     fly(flight, motion, 1, rng)
     first = rates()
     fly(flight, motion, 80, rng)
     last = rates()
-    assert len(last) < flight.native.sums.energy.arcs  # blocks of several arcs have merged
+    assert len(last) < flight.native.sums.energy.store.arcs  # blocks of several arcs have merged
     assert max(last) < 2.0 * max(first)

@@ -187,6 +187,16 @@ class LeftOut:
     """Number of its newest cycle."""
 
 
+def closed_blocks(sums: Any) -> list[Any]:
+    """The blocks of closed arcs in order of time, of the energy, motor or momentum rows."""
+    return [sums.block[place] for place in sums.store.order[0 : sums.store.closed]]
+
+
+def accepted(state: Any) -> int:
+    """How many instants of the energy rows a zygos_arm_t has accepted and not dropped."""
+    return int(lib.zygos_store_accepted(ffi.addressof(state.sums.energy, "store")))
+
+
 @dataclass(frozen=True)
 class Blocks:
     """Sums of the rows, block by block, the arcs' constants eliminated and the declared noise taken off."""
@@ -537,9 +547,8 @@ class Flight:
     def _total(self) -> NDArray[np.float64]:
         """Sums of all closed energy rows [columns, work, 1], (p+2, p+2)."""
         sums = self._closed()
-        packed = ffi.new("double[]", sums.width * (sums.width + 1) // 2)
-        lib.zygos_accumulator_total(sums, packed)
-        return _symmetric(packed, sums.width)
+        none = np.zeros((sums.width, sums.width))
+        return sum((block.head.fade * _symmetric(block.gram, sums.width) for block in closed_blocks(sums)), start=none)
 
     def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """A (p, p) and b (p,) with the arc constants eliminated and the declared noise taken off."""
@@ -561,37 +570,38 @@ class Flight:
     def noise(self) -> NDArray[np.float64]:
         """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
         sums = self._closed()
-        return float(sums.noise_fade) * _symmetric(sums.noise_closed.gram, sums.width - 1)
+        return float(sums.store.noise_fade) * _symmetric(sums.noise_closed.gram, sums.width - 1)
 
     def blocks(self) -> Blocks:
         """The blocks behind the sigmas, the open arcs ended; not weighed."""
         lib.zygos_arm_take(self.native, self._work)
         lib.zygos_work_solve(self._work, self._estimate)  # ends the open arcs of the copy
         sums, joints, momenta = self._work.sums.energy, self._work.sums.motors, self._work.sums.momentum
+        rows = self._work.sums.joints
         pointer, width = ffi.addressof(sums), len(self.names) + 1
         return Blocks(
             energy=[
                 (
                     _symmetric(block.gram, width),
                     np.array(list(lib.zygos_accumulator_deviation(pointer, ffi.addressof(block))[0:width])),
-                    block.instants,
+                    block.head.total,
                     block.square,
                     block.variance[0],
                 )
-                for block in (sums.block[place] for place in sums.order[0 : sums.closed])
+                for block in closed_blocks(sums)
             ],
             motors=[
                 [
                     (_symmetric(block.joint[i].gram, joints.column_map.count[i] + 1), block.instants[i])
                     for i in range(self.arm.n)
                 ]
-                for block in joints.block[0 : joints.store.count]
+                for block in closed_blocks(joints)
             ],
-            momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.store.count]],
+            momentum=[_symmetric(block.rows.gram, momenta.columns) for block in closed_blocks(momenta)],
             joints=[
-                (group.fade * _symmetric(group.rows.gram, width), group.fade * group.count)
-                for group in list(self._work.sums.joints.group)[:-1]  # the last one is not of the estimate
-                if self._work.sums.joints.width > 0
+                (rows.fade[g] * _symmetric(rows.group[g].gram, width), rows.fade[g] * rows.count[g])
+                for g in range(len(rows.group) - 1)  # the last one is not of the estimate
+                if rows.width > 0
             ],
         )
 
@@ -626,8 +636,8 @@ class Flight:
             "wraps": int(self.native.wraps),
             "apart": int(self.native.apart),
             "waited": sum(self.native.waited),
-            "arcs_dropped": int(sums.arcs_dropped),
-            "accepted": int(sums.accepted),
+            "arcs_dropped": int(sums.store.arcs_dropped),
+            "accepted": accepted(self.native),
             "refused": int(sums.refused),
         }
 

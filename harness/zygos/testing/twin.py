@@ -153,7 +153,7 @@ class Twin(Flight):
         """What the telemetry does behind each step."""
         if self._wanted and flight.lib.zygos_solve(self.loop, self._newest) == 1:
             self._wanted, self._judged = False, self._refine is None
-            counts = self.counts | {"arcs": int(self.native.sums.energy.arcs)}
+            counts = self.counts | {"arcs": int(self.native.sums.energy.store.arcs)}
             copied = flight.ffi.new("zygos_estimate_t *", self._newest[0])
             self.answers.append(Answer(copied, self.faults, counts, self.corrupt, self.syncs))
             yield Event.ANSWER

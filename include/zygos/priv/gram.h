@@ -135,10 +135,10 @@ bool zygos_is_same(const void *a, const void *b, uint32_t bytes);
 /// Returns what zygos_fold_words() does.
 uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes);
 
-/// Repairs a bit that was flipped in n words or in their checksum, which began with 0. Returns true when the words
-/// match the checksum, or do so with one bit the other way round, which is then their content; false, with the words
-/// unchanged, when more was changed. Cost: one pass over the words for each of their bits.
-bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum);
+/// Repairs a bit that was flipped in memory or in its checksum, which began with 0. Returns true when they match, or do
+/// so with one bit the other way round, which is then the content; false, with memory unchanged, when more was changed.
+/// Cost: one pass over the memory for each of its bits.
+bool zygos_checksum_repair(void *memory, uint32_t bytes, uint64_t checksum);
 
 #ifdef __cplusplus
 }

@@ -82,7 +82,7 @@ typedef struct {
     uint32_t changed;    ///< 1: so many consecutive arcs contradict that the arm has changed.
     uint32_t lost;       ///< Number of times the running solution was found corrupt and was discarded.
     uint32_t adopting;   ///< 1: zygos_arm_adopt() was called, with whatever result.
-    uint32_t comparing;  ///< 1: the closing arc of energy rows is compared with the running solution.
+    uint32_t comparing;  ///< Kinds of rows, as bits, whose closing arc is compared with the running solution.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS];        ///< Number of excluded arcs, by enum zygos_rows.
     uint32_t consecutive[ZYGOS_KINDS_OF_ROWS];     ///< Number of consecutive newest arcs among them.
     double instants[ZYGOS_KINDS_OF_ROWS];          ///< Instants of the consecutive arcs.

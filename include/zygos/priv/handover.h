@@ -35,7 +35,7 @@ typedef struct {
     uint32_t dropped; ///< zygos_sums_t.dropped at the cut.
     uint32_t whole;   ///< 1: the cut has copied the blocks of the open arc of energy rows, too.
     uint32_t fold;    ///< Of all of these: a copy that memory errors have led elsewhere would lack sums.
-    uint8_t apart[ZYGOS_ORDER_PLACES]; ///< 1: this block of energy rows needs not be copied as one of the others.
+    uint8_t copied[ZYGOS_ORDER_PLACES]; ///< 1: this block of energy rows needs not be copied as one of the others.
 } zygos_handover_t;
 
 /// The running solution, which follows ZYGOS_JOINT_KIND.

@@ -72,54 +72,50 @@ typedef struct {
 typedef struct {
     zygos_joint_gram_t rows;
     zygos_joint_gram_t noise;                              ///< Expected products of noise.
-    double apart[ZYGOS_JOINT_PLACES][ZYGOS_MAX_JOINT_ROW]; ///< Sums of each joint's rows.
+    double joint[ZYGOS_JOINT_PLACES][ZYGOS_MAX_JOINT_ROW]; ///< Sums of each joint's rows.
     double count[ZYGOS_JOINT_PLACES];                      ///< Number of accepted rows of each joint.
 } zygos_joint_segment_t;
 
-/// The segments that were added to a group, without their noise.
+/// The normal equations of the joint rows. The checksum is of what is between filling and it.
 typedef struct {
-    zygos_joint_gram_t rows;
-    double count; ///< Number of rows, weighted as the rows are.
-    double fade;  ///< Factor by which the group is multiplied when it is used or added to.
-} zygos_joint_group_t;
-
-/// The normal equations of the joint rows.
-typedef struct {
-    uint32_t width;       ///< Length of a row, p + 1; 0 where the configuration has no such rows.
-    uint32_t increments;  ///< Number of increments in a segment.
-    uint32_t slice;       ///< Number of entries that are added to the group in each cycle.
-    uint32_t share;       ///< Number of entries to which two rows that wait are added in each cycle.
-    uint32_t corrupt;     ///< 1: the checksum did not match when a segment was complete.
-    uint32_t filling;     ///< Index of the buffer that is filled.
-    uint32_t adding;      ///< 1: entries of the other one are added to its group; 2: the sums of its joints' rows.
-    uint32_t cursor;      ///< Number of its entries that were added.
-    uint32_t filled;      ///< Number of increments in the segment that is filled.
-    uint32_t turn;        ///< The signal whose noise is added to the rows of this increment.
-    uint32_t dropped;     ///< Number of segments that were dropped because of void cycles.
-    uint32_t doubtful;    ///< Number of segments that contain void cycles and could not be dropped.
-    uint32_t apart_count; ///< Number of its joints whose sums were added.
-    uint32_t target;      ///< The group to which it is added.
-    uint32_t
-        quarantined;   ///< Groups and segments that were dropped since the last zygos_arm_scrub(): memory was changed.
-    uint32_t waiting;  ///< Number of rows that wait.
-    uint32_t pass;     ///< The next two of them that are added, those of noise behind those of rows.
-    uint32_t row;      ///< The next row of the matrix that they are added to.
-    uint64_t segments; ///< Number of segments that were complete, without those that were set aside.
-    uint64_t accepted; ///< Number of accepted instants.
-    uint64_t refused;  ///< Number of instants that the bandwidth test refused.
-    uint64_t end;      ///< Number of the newest cycle in a complete segment.
-    uint64_t checksum; ///< Of the counts and factors.
-    double keep;       ///< Factor by which noise and apart are multiplied when the segment is added.
-    double keep_group; ///< And its group.
-    double apart_sums; ///< Number of sums in apart, weighted as they are.
+    uint32_t width;                          ///< Length of a row, p + 1; 0 where the configuration has no such rows.
+    uint32_t increments;                     ///< Number of increments in a segment.
+    uint32_t slice;                          ///< Number of entries that are added to the group in each cycle.
+    uint32_t share;                          ///< Number of entries to which two rows that wait are added in each cycle.
     double weight[ZYGOS_MAX_JOINTS];         ///< Factor of each joint's rows [1/Nm, or 1].
     double deviation[ZYGOS_MAX_JOINTS + 3];  ///< Of each signal, times the root of 2 and of their number [rad/s].
     double rotor_variance[ZYGOS_MAX_JOINTS]; ///< Of the rate of each rotor with a spring, times 2 [rad^2/s^2].
-    zygos_joint_gram_t noise;                ///< Noise that was subtracted.
-    zygos_joint_gram_t apart;                ///< Sum of s s^T / (2 rows).
-    zygos_joint_wait_t wait[2];              ///< Of rows, and of their noise.
+    uint32_t filling;                        ///< Index of the buffer that is filled.
+    uint32_t target;                         ///< The group to which the other one is added.
+    uint64_t segments; ///< Number of segments that were complete, without those that were set aside.
+    uint64_t end;      ///< Number of the newest cycle in a complete segment.
+    double keep;       ///< Factor by which noise and joints are multiplied when the segment is added.
+    double keep_group; ///< And its group.
+    double joint_sums; ///< Number of sums in joints, weighted as they are.
+    double count[ZYGOS_GROUP_PLACES + 1]; ///< Number of rows in each group, weighted as the rows are.
+    double fade[ZYGOS_GROUP_PLACES + 1];  ///< Factor by which the group is multiplied when it is used or added to.
+    uint64_t checksum;
+    uint64_t accepted; ///< Number of accepted instants.
+    uint64_t refused;  ///< Number of instants that the bandwidth test refused.
+    uint32_t corrupt;  ///< 1: what is under the checksum did not match it, and no single bit explains that.
+    uint32_t adding;   ///< 1: entries of the other one are added to its group; 2: the sums of its joints' rows.
+    uint32_t cursor;   ///< Number of its entries that were added.
+    uint32_t filled;   ///< Number of increments in the segment that is filled.
+    uint32_t turn;     ///< The signal whose noise is added to the rows of this increment.
+    uint32_t dropped;  ///< Number of segments that were dropped because of void cycles.
+    uint32_t doubtful; ///< Number of segments that contain void cycles and could not be dropped.
+    uint32_t joint;    ///< Number of its joints whose sums were added.
+    uint32_t
+        quarantined;  ///< Groups and segments that were dropped since the last zygos_arm_scrub(): memory was changed.
+    uint32_t waiting; ///< Number of rows that wait.
+    uint32_t pass;    ///< The next two of them that are added, those of noise behind those of rows.
+    uint32_t row;     ///< The next row of the matrix that they are added to.
+    zygos_joint_gram_t noise;   ///< Noise that was subtracted.
+    zygos_joint_gram_t joints;  ///< Sum of s s^T / (2 rows).
+    zygos_joint_wait_t wait[2]; ///< Of rows, and of their noise.
     zygos_joint_segment_t segment[2];
-    zygos_joint_group_t group[ZYGOS_GROUP_PLACES + 1]; ///< The last one is that of ZYGOS_SET_ASIDE.
+    zygos_joint_gram_t group[ZYGOS_GROUP_PLACES + 1]; ///< The segments that were added to it, without their noise. The
+                                                      ///< last one is that of ZYGOS_SET_ASIDE.
 } zygos_joint_sums_t;
 
 /// Returns whether the joint rows alone determine the estimate: the base is fixed and no joint has a spring. The noise
@@ -187,10 +183,9 @@ bool zygos_joint_sums_steady(const zygos_joint_sums_t *self, const zygos_config_
 bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *config,
                             const zygos_column_map_t *column_map);
 
-/// Returns the largest violation of the row sums in units of their tolerance, or 2 when
-/// the checksum does not match. Above 1 means corrupt. Needs zygos_joint_sums_intact() and
+/// Returns whether all sums match their row sums and checksums. Needs zygos_joint_sums_intact() and
 /// zygos_joint_sums_flush().
-double zygos_joint_sums_check(const zygos_joint_sums_t *self);
+bool zygos_joint_sums_is_whole(const zygos_joint_sums_t *self);
 
 #ifdef __cplusplus
 }

@@ -50,12 +50,14 @@ typedef struct {
     uint32_t reserved;
     double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, with the weight of its turn (momentum.h).
     double rotor[ZYGOS_MAX_JOINTS];         ///< Contribution of the rotors' rates in one instant.
-    zygos_momentum_gram_t noise_arc[2];     ///< Noise of the open and of the closing arc, not yet subtracted. That of
+    zygos_momentum_gram_t noise_open[2];    ///< Noise of the open and of the closing arc, not yet subtracted. That of
                                             ///< the open one is without the rotors.
     zygos_momentum_gram_t noise_closed;     ///< Noise of closed arcs; reduced in proportion when one is dropped.
-    zygos_momentum_block_t open;
-    zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES]; ///< Those of closed arcs, and then the closing arc.
+    zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES + 1];
 } zygos_momentum_sums_t;
+
+/// Returns the block of that rank in order of time.
+const zygos_momentum_block_t *zygos_momentum_sums_at(const zygos_momentum_sums_t *self, uint32_t rank);
 
 /// Computes what follows from the configuration: columns, components, and the noise of an instant. The sums are not
 /// changed. Needs a checked configuration.

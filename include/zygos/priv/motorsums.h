@@ -38,9 +38,11 @@ typedef struct {
     zygos_store_t store;
     zygos_impulse_column_map_t column_map;
     double noise[ZYGOS_MAX_JOINTS][ZYGOS_MAX_PACKED_IMPULSE]; ///< Expected products of noise in one instant.
-    zygos_motor_block_t open;
-    zygos_motor_block_t block[ZYGOS_MAX_MOTOR_BLOCKS]; ///< Those of closed arcs, and then the closing arc.
+    zygos_motor_block_t block[ZYGOS_MAX_MOTOR_BLOCKS + 1];
 } zygos_motor_sums_t;
+
+/// Returns the block of that rank in order of time.
+const zygos_motor_block_t *zygos_motor_sums_at(const zygos_motor_sums_t *self, uint32_t rank);
 
 /// Computes what follows from the configuration: the columns, and the noise of an instant. The sums are not changed.
 /// Needs a checked configuration.

@@ -44,6 +44,9 @@ typedef struct {
 
 /// Functions of one kind of rows: one of enum zygos_rows, and where it says so also ZYGOS_JOINT_KIND.
 
+/// Returns the blocks of these rows.
+zygos_store_t *zygos_sums_store(zygos_sums_t *self, uint32_t kind);
+
 /// Clears the sums, also of joint rows. Needs the tables. Cost: one memset of them.
 void zygos_sums_clear(zygos_sums_t *self, uint32_t kind);
 
@@ -51,8 +54,9 @@ void zygos_sums_clear(zygos_sums_t *self, uint32_t kind);
 /// rows. The other functions rely on that and do not check it. Cost: a few comparisons for each block.
 bool zygos_sums_is_intact(const zygos_sums_t *self, uint32_t kind, const zygos_column_map_t *column_map);
 
-/// Returns whether there is a task, or an arc is closing. Cost: a comparison.
+/// Return what zygos_store_busy() and zygos_store_has_work() do. Cost: a few comparisons.
 bool zygos_sums_is_busy(const zygos_sums_t *self, uint32_t kind);
+bool zygos_sums_has_work(const zygos_sums_t *self, uint32_t kind);
 
 /// Returns whether the open arc has too few accepted instants to be of use.
 bool zygos_sums_is_short(const zygos_sums_t *self, uint32_t kind);
