@@ -200,6 +200,10 @@ def test_sums_that_changed_are_noticed_or_cost_the_open_arc(wrong: Any) -> None:
             place.values(damaged.native)[0] = wrong
         corrupt = damaged.estimate().reason == CORRUPT
         answer, out = in_place(damaged)
+        if answer == lib.ZYGOS_E_STATE:  # an impossible number beside sums, which a scrub removes
+            lib.zygos_arm_scrub(damaged.native, config_of_its_own(begun))
+            assert in_place(damaged)[0] == 1, place
+            continue
         answers[answer] += corrupt
         p = out.parameters
         if answer == 0:
