@@ -15,6 +15,9 @@ from zygos.audit.remedies import Kind, Remedy
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import segments
 
+GROUPS: dict[Kind, str] = {"q": "link angles", "theta": "motor angles", "tau": "torques", "omega": "gyro"}
+"""What all readings of a kind are called."""
+
 
 class Case:
     """A run, its arm file, and what was found."""
@@ -67,6 +70,10 @@ class Case:
     def faulty(self, signal: str, *begins: str) -> bool:
         """Whether a signal has a fault, or one that begins with one of these texts."""
         return any(f.signal == signal and f.fault.startswith(begins or ("",)) for f in self.findings)
+
+    def late(self, kind: Kind, i: int) -> bool:
+        """Whether a reading is late or early, alone or with all others of its kind."""
+        return any(self.faulty(signal, "late", "early") for signal in (self.name(kind, i), GROUPS[kind]))
 
     def readings(self, kind: str, index: int) -> Array:
         """(n,) readings of a signal."""

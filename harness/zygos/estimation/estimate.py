@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.estimation.remedies import measured, remedy
+from zygos.estimation.remedies import UNCLOSED, measured, remedy
 from zygos.estimation.sections import learned, report_estimate
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_change, about_left_out, about_noise
@@ -84,8 +84,9 @@ class Estimation:
         """What to do about an estimate that is not valid; empty where it is."""
         if self.validity == "valid":
             return ""
-        changed = "read the warning: the arm changed" if self.drift and self.drift.changed else ""
-        return changed or remedy(self.result, self.watch.flight, self.watch.known)
+        if self.drift and self.drift.changed and self.reason != UNCLOSED:
+            return "read the warning: the arm changed"
+        return remedy(self.result, self.watch.flight, self.watch.known)
 
     @property
     def measured(self) -> str:

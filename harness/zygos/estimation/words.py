@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.estimation.remedies import NO_FRAMES
+from zygos.estimation.remedies import NO_FRAMES, UNCLOSED
 from zygos.estimation.watch import Watch
 from zygos.files.output import (
     counted,
@@ -72,6 +72,13 @@ def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
         if name in drift.contradicting
     )
     at = f"after {drift.until * arm.period_s:.0f} s"
+    if drift.changed and result.reason == UNCLOSED:
+        return (
+            f"the data {at} contradict the data before, in standard deviations: {names}; a change of the arm is the "
+            "cause, or an error of the readings that different motions show differently, as a delay or a scale; "
+            "remedy: `zygos check-arm`, and where it confirms the run, split the log there, or let old arcs fade "
+            "([arc] memory_min)"
+        )
     if drift.changed:
         return (
             f"the arm changed {at}, in standard deviations: {names}; the values {values}; remedy: split "
