@@ -77,7 +77,23 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
         values, turns[channel.source] = signal.unwrapped()
         warnings += signal.warnings
         out[channel.source] = replace(out[channel.source], value=values)
+        if turns[channel.source] and signal.modulo is not None:
+            warnings += _first_turn(channel, float(values[signal.finite[0]]), signal.modulo)
     return Mended(replace(recording, sources=out), turns, left_out, tuple(warnings))
+
+
+def _first_turn(channel: Channel, first: float, modulo: float) -> list[str]:
+    """A warning where the angle of an arm depends on the turn in which a recording begins: an encoder before the gear,
+    or one that starts again within a turn."""
+    step = abs(modulo * channel.gain)
+    turns = step / (2.0 * math.pi)
+    if abs(turns - round(turns)) < 1e-6 and round(turns):
+        return []
+    return [
+        f"{channel.source}: its turns are counted from the first sample, and the recording does not say which one that "
+        f"is: if the angle did not begin at {channel.gain * first + channel.offset:.4g} rad, it is wrong by a multiple "
+        f"of {step:.4g} rad; remedy: write offset = {modulo * channel.scale:.10g} there, times the turns that are missing"
+    ]
 
 
 def _message(channel: Channel) -> str:
