@@ -153,7 +153,7 @@ def test_an_angle_is_unwrapped_by_its_modulo_or_its_width(modulo: float) -> None
             assert unwrapped.warnings == ()
         else:  # 40.96° of the arm: in which of them it begins, nobody knows
             (said,) = unwrapped.warnings
-            assert "if the angle did not begin at" in said and "write offset = 40.96 there, times the turns" in said
+            assert "if the angle did not begin at" in said and "write offset = 40.96 in the map for each turn" in said
 
 
 @pytest.mark.parametrize("keys", [{}, {"width": 655.36}, {"modulo": 100.0}])

@@ -182,7 +182,11 @@ def gear_ratio(arm: Arm, i: int, factor: float) -> Remedy:
 def wraps(arm: Arm, kind: Kind, i: int, modulo: float) -> Remedy:
     """Of an angle that starts again after a turn."""
     setting = _in_map(arm, kind, i, "modulo", float(f"{modulo:.12g}"))
-    return Remedy(f"{_of_map(setting)}, which is a turn in the unit of the run", (setting,))
+    return Remedy(
+        f"`zygos convert RUN --arm ARM.toml -o NEW`, which unwraps it, or {_of_map(setting)}, which is a turn in the "
+        "unit of the run",
+        (setting,),
+    )
 
 
 def zero(arm: Arm, i: int, off_rad: float) -> Remedy:

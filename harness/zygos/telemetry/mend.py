@@ -15,14 +15,11 @@ from numpy.typing import NDArray
 from zygos import limits
 from zygos.errors import ZygosError
 from zygos.files.output import counted
-from zygos.runs.outliers import code_of, outliers, steps_off, two_courses
+from zygos.runs.outliers import GAP, code_of, outliers, steps_off, two_courses, unwrapped
 from zygos.telemetry.map import Channel, Map, Recording, SourceSamples
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
-
-_GAP = 2.5
-"""Usual intervals above which a step is that of a gap, whose motion is not small."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,8 @@ def _first_turn(channel: Channel, first: float, modulo: float) -> list[str]:
     return [
         f"{channel.source}: its turns are counted from the first sample, and the recording does not say which one that "
         f"is: if the angle did not begin at {channel.gain * first + channel.offset:.4g} rad, it is wrong by a multiple "
-        f"of {step:.4g} rad; remedy: write offset = {modulo * channel.scale:.10g} there, times the turns that are missing"
+        f"of {step:.4g} rad; remedy: write offset = {modulo * channel.scale:.10g} in the map for each turn that is "
+        "missing"
     ]
 
 
@@ -136,7 +134,7 @@ class _Signal:
         x = self.x
         if self.channel.quantity == "angle":
             if self.modulo is not None:
-                x = _unwrap(x, self.modulo, np.ones(max(len(x) - 1, 0)))
+                x = unwrapped(x, self.modulo, np.ones(max(len(x) - 1, 0)))
             found = outliers(x, self.floor, self._periods())
             found = np.union1d(found, self._ends(x, np.delete(np.arange(len(x)), found)))
         else:
@@ -197,7 +195,7 @@ class _Signal:
         x, modulo = self.x, self.modulo
         jumps = steps_off(x, self.intervals, self.floor)
         if modulo is not None:
-            turned = _unwrap(x, modulo, self.intervals)
+            turned = unwrapped(x, modulo, self.intervals)
             left = np.where(jumps != 0.0, steps_off(turned, self.intervals, self.floor), 0.0)
             if not np.any(self._turns(jumps) & (np.abs(left) > limits.TURN_NEAR.value * modulo)):
                 count = int(np.count_nonzero(np.round(np.diff(turned - x) / modulo)))
@@ -249,10 +247,10 @@ class _Signal:
 
     def _check_turns(self, turned: Floats, modulo: float) -> None:
         """Refuse turns that cannot be counted, because the angle moves too far between two samples."""
-        far = np.abs(np.diff(turned)) > limits.TURN_SURE.value * modulo * np.maximum(1.0, self.intervals / _GAP)
-        slopes = np.where(self.intervals > _GAP, 0.0, np.diff(turned))
+        far = np.abs(np.diff(turned)) > limits.TURN_SURE.value * modulo * np.maximum(1.0, self.intervals / GAP)
+        slopes = np.where(self.intervals > GAP, 0.0, np.diff(turned))
         reach = float(np.percentile(np.abs(slopes), 99))
-        far |= (self.intervals > _GAP) & (self.intervals * reach > modulo)
+        far |= (self.intervals > GAP) & (self.intervals * reach > modulo)
         if np.any(far):
             k = int(np.flatnonzero(far)[0])
             raise ZygosError(
@@ -270,20 +268,6 @@ class _Signal:
             if math.isfinite(stamp)
             else f"in row {int(self.samples.group[place]) + self.samples.first_row}"
         )
-
-
-def _unwrap(x: Floats, modulo: float, intervals: Floats) -> Floats:
-    """(n,) an angle that does not start again: each step is the shortest, in a gap the one nearest to the motion on
-    both sides."""
-    steps = np.diff(x)
-    short = steps - modulo * np.round(steps / modulo)
-    for k in np.flatnonzero(intervals > _GAP):
-        sides = [part for part in (short[max(k - 5, 0) : k], short[k + 1 : k + 6]) if len(part)]
-        moved = intervals[k] * float(np.mean([np.median(part) for part in sides])) if sides else 0.0
-        short[k] = steps[k] - modulo * np.round((steps[k] - moved) / modulo)
-    turns = np.concatenate([[0.0], np.cumsum(np.round((short - steps) / modulo))])
-    out: Floats = x + modulo * turns
-    return out
 
 
 def _far(x: Floats, found: Places) -> Places:
