@@ -420,10 +420,10 @@ def test_nothing_is_interpolated_over_a_hole(arm: Arm, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow(only=["2*"])
-@pytest.mark.parametrize(("missing", "bridged_gaps"), [(2, 85), (60, 0)])
+@pytest.mark.parametrize(("missing", "bridged_gaps"), [(2, 85), (11, 85), (60, 0)])
 def test_a_gap_is_bridged_if_the_motion_allows_it(arm: Arm, missing: int, bridged_gaps: int) -> None:
-    """Samples of 2 ms on a grid of 10 ms: gaps of 6 ms cost nothing, and their values are as good as the others; the
-    motion of 1.3 Hz does not allow 122 ms."""
+    """Samples of 2 ms on a grid of 10 ms: gaps of 6 or 24 ms cost nothing, and their values are as good as the others;
+    the motion of 1.3 Hz does not allow 122 ms."""
     fine = replace(arm, period_s=0.01)
     t = 0.002 * np.arange(30_000)
     x = angle(t) + 3e-4 * np.random.default_rng(0).standard_normal(len(t))
