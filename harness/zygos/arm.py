@@ -546,7 +546,7 @@ def across(axis: Floats) -> Floats:
 def load_arm(path: str | Path) -> Arm:
     """Read `arm.toml`. Errors: ZygosError naming file, key and remedy for anything unknown, missing, of the wrong
     type or out of range."""
-    return read_arm(Table.load(path))
+    return read_arm(Table.load(path, "an arm file"))
 
 
 def read_arm(top: Table) -> Arm:

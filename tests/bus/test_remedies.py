@@ -252,7 +252,7 @@ def test_the_keys_remove_the_finding(
     assert settings and (case.mapped or {one.file for one in settings} == {"arm"})
     for finding in found.findings:
         assert not finding.settings or str(finding.settings[0]) in finding.remedy or case.remedy in (
-            "swapped", "exchanged", "turned_joint",
+            "swapped", "exchanged", "turned_joint", "wraps",
         )  # fmt: skip
     carry_out(settings, own, mapping if mapping is not None else tomlkit.document())
     after = checked(tmp_path / "after", own, mapping, cycles, arm.period_s)

@@ -506,7 +506,7 @@ STAMPS: list[tuple[Callable[[Floats], Floats], str]] = [
     (lambda t: np.where(t > 5.0, t - 3.0, t), r"goes backwards at sample 102 \(1 time in all\); remedy: remove"),
     (
         lambda t: np.where(t < 0.1, t + 100.0, t),
-        r"goes backwards at sample 3 \(1 time in all\); remedy: remove the samples",
+        r"goes backwards at sample 3 \(1 time in all\); remedy: remove the first 2 samples, whose times are later",
     ),
     (lambda t: t[np.r_[0:200:2, 1:200:2].argsort()[::-1]], r"goes backwards .*; remedy: sort the recording, state the"),
     (lambda t: np.where(t < 0.1, t - 1e5, t), r"spans .* remove samples whose times are wrong, at the beginning"),

@@ -183,8 +183,8 @@ def wraps(arm: Arm, kind: Kind, i: int, modulo: float) -> Remedy:
     """Of an angle that starts again after a turn."""
     setting = _in_map(arm, kind, i, "modulo", float(f"{modulo:.12g}"))
     return Remedy(
-        f"`zygos convert RUN --arm ARM.toml -o NEW`, which unwraps it, or {_of_map(setting)}, which is a turn in the "
-        "unit of the run",
+        "`zygos convert RUN --arm ARM.toml -o NEW`, which unwraps it; where RUN was converted, the key modulo of the "
+        f"{setting.table[2]} in its map as well",
         (setting,),
     )
 

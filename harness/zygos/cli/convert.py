@@ -13,7 +13,7 @@ from rich.progress import Progress
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli.options import Json, cuts
+from zygos.cli.options import Json, cuts, of_arm, of_map, of_runs
 from zygos.cli.shared import not_whole, read_run, warn
 from zygos.errors import Undecided, ZygosError
 from zygos.files.inputs import local
@@ -245,6 +245,7 @@ def command(
         typer.Argument(
             metavar="RECORDING",
             help="A CAN log (.log .blf .asc .trc .mf4), a table (.csv .parquet .npz), or an MCAP (.mcap).",
+            callback=of_runs,
         ),
     ],
     out: Annotated[
@@ -256,6 +257,7 @@ def command(
             "--map",
             metavar="MAP.toml",
             help="Assigns signals to readings of the arm, with units. Not needed for a run of zygos.",
+            callback=of_map,
         ),
     ] = None,
     dbc: Annotated[
@@ -264,7 +266,12 @@ def command(
     ] = None,
     arm: Annotated[
         Path | None,
-        typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the map or the run."),
+        typer.Option(
+            "--arm",
+            metavar="ARM.toml",
+            help="The arm file. Default: arm.toml next to the map or the run.",
+            callback=of_arm,
+        ),
     ] = None,
     json: Json = None,
 ) -> None:

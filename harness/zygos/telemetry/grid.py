@@ -267,7 +267,8 @@ def times_of(recording: Recording, mapping: Map) -> dict[str, Floats]:
     if recording.modulo is not None and clock.kind != "sync":
         # a small step backwards looks like nearly a full turn forwards
         raw = np.diff(recording.clock)
-        _forwards(clock.source, clock.where, (raw < 0) & (np.mod(raw, recording.modulo) > 0.5 * recording.modulo))
+        back = (raw < 0) & (np.mod(raw, recording.modulo) > 0.5 * recording.modulo)
+        _forwards(clock.source, clock.where, recording.clock, back)
     return {source: (counts * clock.unit_s)[samples.group] for source, samples in sources.items()}
 
 
@@ -283,7 +284,7 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
         t = times[channel.source] - channel.delay_s
         x = channel.gain * samples.value + channel.offset
         t, x = t[np.isfinite(x)], x[np.isfinite(x)]
-        _forwards(channel.source, channel.where, np.diff(t) < 0)
+        _forwards(channel.source, channel.where, t, np.diff(t) < 0)
         last = np.append(np.diff(t) > 0, len(t) > 0)[: len(t)]
         repeated = int(len(t) - last.sum())
         if repeated > MANY_REPEATED * len(t):
@@ -300,15 +301,17 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
     return out
 
 
-def _forwards(source: str, where: str, falls: NDArray[np.bool_]) -> None:
-    """Refuse time stamps that decrease."""
+def _forwards(source: str, where: str, t: Floats, falls: NDArray[np.bool_]) -> None:
+    """Refuse time stamps (n,) that decrease. falls: (n-1,) where they do."""
     at = np.flatnonzero(falls)
     if len(at):
         few = len(at) <= MANY_REPEATED * len(falls)  # the stamps are in order but for some that are wrong
+        wrong = "remove the samples there whose times are wrong" if few else "sort the recording"
+        if few and t[: at[0] + 1].min() > t[at[0] + 1 :].max():  # before a clock was set
+            wrong = f"remove the first {counted(int(at[0]) + 1, 'sample')}, whose times are later than all others"
         raise ZygosError(
             f"{where}: the time of {source} goes backwards at sample {at[0] + 2} ({counted(len(at), 'time')} in all); "
-            f"remedy: {'remove the samples there whose times are wrong' if few else 'sort the recording'}, state the "
-            "clock's modulo, or cut the recording there"
+            f"remedy: {wrong}, state the clock's modulo, or cut the recording there"
         )
 
 

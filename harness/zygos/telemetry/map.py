@@ -205,7 +205,7 @@ def load_map(path: str | Path, arm: Arm, kind: Input) -> Map:
 
     Errors: ZygosError naming file, key and remedy for anything unknown, missing or contradictory.
     """
-    return read_map(Table.load(path), arm, kind)
+    return read_map(Table.load(path, "a map"), arm, kind)
 
 
 def read_map(top: Table, arm: Arm, kind: Input) -> Map:
