@@ -431,7 +431,7 @@ def test_the_headline_says_what_is_open(runs: dict[str, tuple[Arm, list[Cycles]]
     found = replace(audit(arm, clean[0]), notes=("torque_law: not decided (…)",))
     answer = answer_of(Run(arm, table=clean[0]), found)
     assert found.ok and answer.tone == "open"
-    assert answer.sentence == "the run confirms every signal of the arm file; open: torque_law"
+    assert answer.sentence == "signs and places of the signals are confirmed, but not decided: torque_law"
 
 
 def test_what_does_not_move_is_not_decided(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from zygos import limits
 from zygos.arm import Arm, Encoder, Joint, TorqueLaw
 
 Value = float | int | str | tuple[float, ...]
@@ -115,12 +116,20 @@ def noisy_gyro(noise: float) -> Remedy:
 
 
 def noisy_torque(arm: Arm, i: int, noise: float) -> Remedy:
-    """Of a torque whose noise is larger than the declared one."""
+    """Of a torque whose noise is larger than the declared one. Where it is so by a unit, this is said first; a scale
+    that all torques have in common shows nowhere else."""
     setting = _in_arm(arm, "tau", i, "torque_sigma", float(f"{noise:.2g}"))
-    return Remedy(
-        f"{setting} of the joint; nothing if the drive really applies torques that change so much from cycle to cycle",
-        (setting,),
+    text = (
+        f"{setting} of the joint; nothing if the drive really applies torques that change so much from cycle to cycle"
     )
+    sigma = arm.joints[i].torque_sigma
+    if arm.torque_unit == "Nm" and sigma > 0.0 and noise > limits.UNIT_NOISE.value * sigma:
+        text = (
+            'check the unit: of currents, unit = "mA" and torque_constant of torque in the map (`zygos convert`), '
+            f'about {1e3 * sigma / noise:.1g} Nm/A if torque_sigma is right; of mNm, unit = "mNm"; only if it is Nm, '
+            f"{text}"
+        )
+    return Remedy(text, (setting,))
 
 
 def inverted(arm: Arm, kind: Kind, i: int) -> Remedy:

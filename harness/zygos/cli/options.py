@@ -11,9 +11,8 @@ from typing import Annotated, Any, TypeVar, cast
 import typer
 
 from zygos.errors import ZygosError
-from zygos.files.inputs import LOG_SUFFIXES, local
+from zygos.files.inputs import LOG_SUFFIXES, local, toml_kind
 from zygos.files.tables import TABLE_SUFFIXES
-from zygos.files.toml import kind_of
 from zygos.runs.span import reading
 
 Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Also write the result as JSON to this file.")]
@@ -59,8 +58,9 @@ def of_runs(context: typer.Context, runs: Any) -> Any:
     """Refuse a TOML file in the place of a recording."""
     for path in runs if isinstance(runs, list) else [runs]:
         if path.suffix.lower() == ".toml":
+            found = toml_kind(path)
             raise ZygosError(
-                f"{path} is {kind_of(path)}, in the place of a recording: are the two swapped? remedy: {_usage(context)}"
+                f"{path} is {found}, in the place of a recording: are the two swapped? remedy: {_usage(context)}"
             )
     return runs
 

@@ -14,28 +14,9 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from zygos.errors import ZygosError
-from zygos.files.inputs import local
+from zygos.files.inputs import TOML_KINDS, local
 
 Word = TypeVar("Word", bound=str)
-
-
-KINDS = {
-    "time": "a map",
-    "manoeuvre": "a scenario",
-    "body": "a model",
-    "parameters": "a model",
-    "period_s": "an arm file",
-}
-"""What a file is that has this key at its top."""
-
-
-def kind_of(path: Path) -> str:
-    """What a TOML file is, in words."""
-    try:
-        data = tomllib.loads(local(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        data = {}
-    return next((known for sign, known in KINDS.items() if sign in data), "a TOML file")
 
 
 @dataclass(frozen=True)
@@ -72,7 +53,7 @@ class Table:
 
     @classmethod
     def load(cls, path: str | Path, kind: str = "") -> Self:
-        """Read a TOML file. kind: one of `KINDS`, which it must be.
+        """Read a TOML file. kind: one of `TOML_KINDS`, which it must be.
 
         Errors: ZygosError if it is missing, a folder, unreadable, not TOML, or of another kind.
         """
@@ -92,7 +73,7 @@ class Table:
             raise ZygosError(f"{file}: is not UTF-8 text; remedy: save the file as UTF-8") from None
         except (ValueError, RecursionError) as error:  # TOMLDecodeError, integers too long, nesting too deep
             raise ZygosError(f"{file}: is not valid TOML ({error}); remedy: correct that line") from None
-        found = next((known for sign, known in KINDS.items() if sign in data), kind)
+        found = next((known for sign, known in TOML_KINDS.items() if sign in data), kind)
         if kind and found != kind:
             raise ZygosError(f"{file}: is {found}, not {kind}; remedy: give {kind} there")
         return cls(data, file)
