@@ -399,7 +399,7 @@ def test_keys_that_messages_of_estimates_name_are_keys_of_the_arm_file() -> None
 # --------------------------------------------------------------------------------------------- from end to end
 
 
-def test_torques_that_a_recording_has_20_ms_late(tmp_path: Path) -> None:
+def test_torques_that_a_recording_has_20_ms_late(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The delay is measured and proposed as a key of the map, never as another torque law; with it the estimate has the
     true values: an inertia of 0.85 kg m^2, viscous friction of 0.008 N m s/rad and Coulomb friction of 0.016 N m."""
     cases = ROOT.parent / "shared" / "cases"
@@ -414,6 +414,7 @@ def test_torques_that_a_recording_has_20_ms_late(tmp_path: Path) -> None:
         out = tmp_path / name / "run.npz"
         out.parent.mkdir()
         assert run("convert", tmp_path / "late.csv", "--map", tmp_path / "map.toml", "-o", out) == 0
+        assert f"next: zygos check-arm {out.parent / 'arm.toml'} {out} · " in capsys.readouterr().out.replace("\n", "")
         found = load_run(out)
         checked_run = audit(found.arm, found.cycles)
         if name == "before":
