@@ -218,9 +218,9 @@ def called(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     names = set[str]()
 
     def noted(name: str, own: Callable[..., Any]) -> Callable[..., Any]:
-        def propose(*arguments: Any) -> Any:
+        def propose(*arguments: Any, **named: Any) -> Any:
             names.add(name)
-            return own(*arguments)
+            return own(*arguments, **named)
 
         return propose
 

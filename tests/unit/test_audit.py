@@ -398,6 +398,18 @@ def test_a_delay_is_found_within_its_interval(
 
 
 @pytest.mark.slow
+def test_both_angles_that_are_late_are_no_early_torques(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    """The gyro decides."""
+    arm, clean = runs["b"]
+    moved = taken_later(clean[0], Group("theta", (0, 1), both=True), -4.0)
+    (finding,) = audit(arm, Cycles(*(getattr(moved, name)[10:-10] for name in Cycles.__dataclass_fields__))).findings
+    said = re.fullmatch(r"late by ([\d.]+) ms ± ([\d.e+-]+)", finding.fault)
+    assert finding.signal == "angles" and said is not None
+    assert abs(float(said[1]) - 20.0) < 4.0 * float(said[2])
+    assert {one.table[2] for one in finding.settings} == {"motor", "link"} and len(finding.settings) == 4
+
+
+@pytest.mark.slow
 def test_vibration_is_no_noise_and_noise_of_the_gyro_is(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
     """Content of 30 to 45 Hz in both encoders of a joint, 50 times their noise; and a gyro with three times its own."""
     arm, clean = runs["b"]
@@ -649,6 +661,13 @@ def test_the_grid_of_readings() -> None:
         assert grid_step(wired, [(0, 3000)], STEP) == pytest.approx(step, rel=1e-5)
     assert np.isnan(grid_step(smooth, [(0, 3000)], STEP))
     assert np.isnan(grid_step(STEP * np.rint(smooth / STEP), [(0, 3000)], STEP))
+
+
+def test_equal_means_are_equal() -> None:
+    """A mean of equal readings is not bit for bit what its neighbour is."""
+    x = np.concatenate([np.sin(np.arange(30.0)), np.full(40, 0.4), np.sin(np.arange(30.0))])
+    x[31:70:2] *= 1.0 + 1e-15
+    assert runs_of_equal(x, [(0, 100)], 20) == [(30, 70)]
 
 
 def test_noise_and_flat_stretches() -> None:

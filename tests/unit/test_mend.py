@@ -227,6 +227,27 @@ def test_a_second_source_is_refused_and_its_value_can_be_left_out(share: float) 
         mend(np.where(np.arange(N) % 2, DEGREES + 90.0, DEGREES))
 
 
+@pytest.mark.parametrize("end", ["first", "last"])
+def test_what_an_angle_says_before_it_is_measured_is_left_out(end: str) -> None:
+    """A fifth of the recording at exactly 0; also a standstill that ends without a jump has equal readings."""
+    count = len(T) // 5
+    idle = DEGREES + 40.0
+    idle[slice(0, count) if end == "first" else slice(-count, None)] = 0.0
+    found = mend(idle)
+    assert found.left_out == {"m": count, "y": count}
+    (said,) = found.warnings
+    assert f"is 0 in its {end} {count:,} samples, with a jump of" in said
+    still = DEGREES.copy()
+    still[:count] = still[count]
+    assert mend(still).left_out == {"m": 0, "y": 0}
+
+
+def test_a_pause_is_no_jump() -> None:
+    """What an angle did in a gap of a second is not known; a whole turn is one."""
+    keep = np.r_[0:1500, 2000:3000]
+    assert mend(DEGREES[keep], LOAD[keep], t=T[keep]).warnings == ()
+
+
 def test_an_angle_that_is_set_anew_is_named() -> None:
     out = mend(DEGREES + np.where(T >= 4.0, 30.0, 0.0))
     assert len(out.warnings) == 1

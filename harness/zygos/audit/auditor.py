@@ -130,7 +130,7 @@ def _signals(case: Case) -> tuple[Signal, ...]:
 def _signal(case: Case, read: Case, name: str, kind: Kind, i: int) -> Signal:
     valid = read.valid(kind, i)
     angle = kind in ("q", "theta")
-    faults = [f.fault for f in case.findings if f.signal in (name, GROUPS[kind])]
+    faults = [f.fault for f in case.findings if f.signal in (name, GROUPS[kind], *(["angles"] if angle else []))]
     decided = name not in case.undecided or bool(faults)
     return Signal(
         name=name,

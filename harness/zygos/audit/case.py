@@ -11,7 +11,7 @@ from zygos.arm import ANGLE_STEP, Arm, Encoder, rounded
 from zygos.audit.findings import SignalFault, Traffic, signal_names
 from zygos.audit.means import Array
 from zygos.audit.readings import grid_step, noise_beside, white_noise
-from zygos.audit.remedies import Kind, Remedy
+from zygos.audit.remedies import ANGLES, Kind, Remedy
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import segments
 
@@ -73,7 +73,8 @@ class Case:
 
     def late(self, kind: Kind, i: int) -> bool:
         """Whether a reading is late or early, alone or with all others of its kind."""
-        return any(self.faulty(signal, "late", "early") for signal in (self.name(kind, i), GROUPS[kind]))
+        signals = (self.name(kind, i), GROUPS[kind], *(["angles"] if kind in ANGLES else []))
+        return any(self.faulty(signal, "late", "early") for signal in signals)
 
     def readings(self, kind: str, index: int) -> Array:
         """(n,) readings of a signal."""

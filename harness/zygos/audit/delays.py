@@ -17,7 +17,7 @@ import numpy as np
 
 from zygos import limits
 from zygos.audit.means import BLOCKS, Array
-from zygos.audit.remedies import Kind
+from zygos.audit.remedies import ANGLES, Kind
 from zygos.runs.cycles import INVALID, Cycles
 
 Residual = Callable[[float, int | None], float]
@@ -44,6 +44,13 @@ class Group:
 
     kind: Kind
     columns: tuple[int, ...]
+    both: bool = False
+    """Whether the other angles of these joints are delayed as well."""
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """All kinds of its readings."""
+        return ANGLES if self.both else (self.kind,)
 
 
 @dataclass(frozen=True)
@@ -82,10 +89,12 @@ def shifted(cycles: Cycles, group: Group, periods: float) -> Cycles:
         same &= (number[taken] - number == step) & ((flags[taken] & INVALID) == 0)
     fields: dict[str, Any] = {"flags": np.where(same, flags, flags | np.uint32(INVALID)).astype(np.uint32)}
     columns = list(group.columns)
-    readings: Array = getattr(cycles, group.kind)
-    moved = readings.copy()
-    moved[:, columns] = sum(weight * readings[taken][:, columns] for weight, taken in zip(weights, at, strict=True))
-    fields[group.kind] = moved
+    for kind in group.kinds:
+        readings: Array = getattr(cycles, kind)
+        fields[kind] = readings.copy()
+        fields[kind][:, columns] = sum(
+            weight * readings[taken][:, columns] for weight, taken in zip(weights, at, strict=True)
+        )
     return replace(cycles, **fields)
 
 
@@ -148,8 +157,9 @@ def find_delay(group: Group, residual: Residual, now: float, period_s: float) ->
 
 def groups(joints: Sequence[int], flexible: Sequence[int] = (), *, gyro: bool) -> list[Group]:
     """What may be delayed together: the gyro, all torques, each torque, and of flexible joints all link angles, all
-    motor angles, and each of these. If all angles are delayed, torques and gyro seem early."""
-    found = [Group("omega", (0, 1, 2))] if gyro else []
+    motor angles, and each of these. With a gyro also all angles of the arm: without one, they are late if all
+    torques are early."""
+    found = [Group("omega", (0, 1, 2)), Group("theta", tuple(joints), both=True)] if gyro else []
     kinds: list[tuple[Kind, Sequence[int]]] = [("tau", joints), ("q", flexible), ("theta", flexible)]
     for kind, columns in kinds:
         found += [Group(kind, tuple(columns))] if columns else []

@@ -236,15 +236,19 @@ def _latch(arm: Arm, kind: Kind, i: int, later_s: float) -> Setting | None:
     return Setting("arm", ("imu",), "latch_us", latch) if kind == "omega" else _in_arm(arm, kind, i, "latch_us", latch)
 
 
-def delay(arm: Arm, kind: Kind, columns: Sequence[int], delay_s: float) -> Remedy:
-    """Of readings of one kind that are older than their stamps by delay_s; negative: newer."""
-    latches = [None if kind == "tau" or delay_s > 0.0 else _latch(arm, kind, i, -delay_s) for i in columns]
+def delay(arm: Arm, kind: Kind, columns: Sequence[int], delay_s: float, *, both: bool = False) -> Remedy:
+    """Of readings of one kind, or of both angles, that are older than their stamps by delay_s; negative: newer."""
+    latches = [None if kind == "tau" or delay_s > 0.0 or both else _latch(arm, kind, i, -delay_s) for i in columns]
     if None not in latches:
         settings = tuple(dict.fromkeys(latch for latch in latches if latch is not None))
         return Remedy(f"{settings[0]} of {'[imu]' if kind == 'omega' else f'the {settings[0].table[-1]}'}", settings)
-    settings = tuple(_in_map(arm, kind, i, "delay_s", float(f"{delay_s:.4g}")) for i in columns)
-    lag = "; of a drive that acts later: the effect torque_lag of a model (`zygos estimate --model`)"
-    return Remedy(_of_map(settings[0]) + (lag if kind == "tau" and delay_s < 0.0 else ""), settings)
+    kinds: list[tuple[Kind, int]] = [(kind, i) for i in columns]
+    kinds += [("q", i) for i in columns if both and arm.joints[i].flexible]
+    settings = tuple(_in_map(arm, one, i, "delay_s", float(f"{delay_s:.4g}")) for one, i in kinds)
+    more = "; of link as well" if both and len(kinds) > len(columns) else ""
+    if kind == "tau" and delay_s < 0.0:
+        more = "; of a drive that acts later: the effect torque_lag of a model (`zygos estimate --model`)"
+    return Remedy(_of_map(settings[0]) + more, settings)
 
 
 def torque_law(law: TorqueLaw) -> Remedy:

@@ -206,13 +206,14 @@ def _delays(case: Case, balance: Balance, pairs: dict[int, Pair]) -> list[Delay]
         found.append(find_delay(group, left, now, case.arm.period_s))
     late = [_by_pairs(one, pairs, case.arm.period_s) for one in found if one is not None]
     late.sort(key=lambda one: one.residual)
-    return [] if late and late[0].group.kind in ANGLES and abs(late[0].periods) < 1.0 else late
+    one_side = late and late[0].group.kind in ANGLES and not late[0].group.both
+    return [] if one_side and abs(late[0].periods) < 1.0 else late
 
 
 def _by_pairs(late: Delay, pairs: dict[int, Pair], period_s: float) -> Delay:
     """A delay of angles as the comparison of the two encoders measures it, where that is more precise and agrees."""
     group = late.group
-    if group.kind not in ANGLES or not set(group.columns) <= pairs.keys():
+    if group.kind not in ANGLES or group.both or not set(group.columns) <= pairs.keys():
         return late
     skew, sigma = (
         np.array([getattr(pairs[i], name) for i in group.columns]) / period_s for name in ("skew_s", "skew_sigma_s")
@@ -257,8 +258,8 @@ def find_late(case: Case, late: Delay, what: str) -> None:
     text = f"{1e3 * abs(seconds):.3g} ms ± {1e3 * late.sigma * arm.period_s:.1g}"
     evidence = f"{what} {late.ratio:.3g} times better"
     alone = len(group.columns) == 1 and (group.kind != "tau" or arm.n > 1)
-    signal = case.name(group.kind, group.columns[0]) if alone else GROUPS[group.kind]
-    remedy = remedies.delay(arm, group.kind, group.columns, seconds)
+    signal = "angles" if group.both else case.name(group.kind, group.columns[0]) if alone else GROUPS[group.kind]
+    remedy = remedies.delay(arm, group.kind, group.columns, seconds, both=group.both)
     case.find(signal, f"{'late' if seconds > 0.0 else 'early'} by {text}", evidence, remedy)
 
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.estimation.remedies import UNCLOSED, measured, remedy
+from zygos.estimation.remedies import measured, remedy
 from zygos.estimation.sections import learned, report_estimate
 from zygos.estimation.watch import Watch
-from zygos.estimation.words import about_change, about_left_out, about_noise
+from zygos.estimation.words import about_change, about_left_out, about_noise, shows_change
 from zygos.model.model import Model, Quantity
 from zygos.native.flight import Drift, Estimate, Flight
 
@@ -84,7 +84,7 @@ class Estimation:
         """What to do about an estimate that is not valid; empty where it is."""
         if self.validity == "valid":
             return ""
-        if self.drift and self.drift.changed and self.reason != UNCLOSED:
+        if self.drift and shows_change(self.result, self.drift):
             return "read the warning: the arm changed"
         return remedy(self.result, self.watch.flight, self.watch.known)
 

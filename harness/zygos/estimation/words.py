@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zygos.arm import Arm
+from zygos.effects import GAIN
 from zygos.estimation.remedies import NO_FRAMES, UNCLOSED
 from zygos.estimation.watch import Watch
 from zygos.files.output import (
@@ -63,6 +64,13 @@ def about_left_out(result: Estimate, watch: Watch) -> str:
     return f"arcs left out because they contradict the others: {'; '.join(found)}"
 
 
+def shows_change(result: Estimate, drift: Drift) -> bool:
+    """Whether a contradiction is one of the arm: the balance of all data closes, and more than gains of torque sensors
+    contradicts."""
+    gains = all(name.startswith(GAIN) for name in drift.changed)
+    return bool(drift.changed) and result.reason != UNCLOSED and not gains
+
+
 def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
     """A message that the arm changed, or another reason why an arc contradicts those before it, with the remedy."""
     values = "are those before the change" if result.consecutive else "are a mixture of before and after"
@@ -72,7 +80,7 @@ def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
         if name in drift.contradicting
     )
     at = f"after {drift.until * arm.period_s:.0f} s"
-    if drift.changed and result.reason == UNCLOSED:
+    if drift.changed and not shows_change(result, drift):
         return (
             f"the data {at} contradict the data before, in standard deviations: {names}; a change of the arm is the "
             "cause, or an error of the readings that different motions show differently, as a delay or a scale; "

@@ -63,6 +63,10 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
 
     for channel in mapping.channels:
         leave_out(channel, signal_of(channel).missing())
+    for channel in mapping.channels:
+        signal = signal_of(channel)
+        leave_out(channel, signal.silent())
+        warnings += signal.warnings
     for channel in sorted(mapping.channels, key=lambda channel: channel.quantity != "angle"):
         signal = signal_of(channel)
         leave_out(channel, signal.off())
@@ -129,6 +133,28 @@ class _Signal:
             return np.zeros(0, dtype=np.int64)
         return self.finite[np.isclose(self.x, self.channel.missing, rtol=1e-9, atol=0.0)]
 
+    def silent(self) -> Places:
+        """Positions of the samples before an angle begins or after it ends: one and the same value, and then a step
+        that no motion makes."""
+        x = self.x
+        changes = np.flatnonzero(np.diff(x))
+        if self.channel.quantity != "angle" or len(changes) < 2:
+            return np.zeros(0, dtype=np.int64)
+        jumps = steps_off(x, self.intervals, self.floor)
+        jumps[self._turns(jumps) | (self.intervals > GAP)] = 0.0
+        found = np.zeros(0, dtype=np.int64)
+        for name, at, of in (
+            ("first", int(changes[0]), np.arange(changes[0] + 1)),
+            ("last", int(changes[-1]), np.arange(changes[-1] + 1, len(x))),
+        ):
+            if len(of) > limits.OUTLIER_BURST.value and jumps[at] != 0.0:
+                found = np.concatenate([found, self.finite[of]])
+                self.warnings.append(
+                    f"{self.channel.source}: is {x[of[0]]:.6g} in its {name} {counted(len(of), 'sample')}, with a jump "
+                    f"of {abs(x[at + 1] - x[at]):.6g}, as a sensor that does not measure; left out"
+                )
+        return found
+
     def off(self) -> Places:
         """Positions of the samples that lie off. Errors: ZygosError where these are many."""
         x = self.x
@@ -194,6 +220,8 @@ class _Signal:
             return values, 0
         x, modulo = self.x, self.modulo
         jumps = steps_off(x, self.intervals, self.floor)
+        # what moved in a gap is not known: only a whole turn is a jump there
+        jumps[(self.intervals > GAP) & ~(self._turns(jumps) & self._turns(np.diff(x)))] = 0.0
         if modulo is not None:
             turned = unwrapped(x, modulo, self.intervals)
             left = np.where(jumps != 0.0, steps_off(turned, self.intervals, self.floor), 0.0)
