@@ -342,6 +342,13 @@ class Arm:
         return 0.0 if self.torque_law == "sampled" else self.period_s / 12.0
 
     @property
+    def impulse_s(self) -> float:
+        """By how much an impulse, the integral of a torque, is larger for each change of the torque from one cycle to
+        the next at its end [s]: `held_s`, and -h/8 of means over the period about an instant, because the trapezoid
+        rule takes the half of the last one from both sides of the end."""
+        return -self.period_s / 8.0 if self.torque_averaged else self.held_s
+
+    @property
     def gain_reference(self) -> int:
         """The joint (from 0) to whose torque sensor the gains of the others are relative: the first of the most exact
         ones."""
@@ -546,7 +553,7 @@ def across(axis: Floats) -> Floats:
 def load_arm(path: str | Path) -> Arm:
     """Read `arm.toml`. Errors: ZygosError naming file, key and remedy for anything unknown, missing, of the wrong
     type or out of range."""
-    return read_arm(Table.load(path))
+    return read_arm(Table.load(path, "an arm file"))
 
 
 def read_arm(top: Table) -> Arm:

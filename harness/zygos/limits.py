@@ -468,6 +468,8 @@ SKEW = Limit("skew", 0.1, "1", "convention",
     "Share of the period that a skew exceeds if it is reported.")
 ZERO_Z = Limit("zero z", 6.0, "1", "convention",
     "Standard errors that an offset of an encoder exceeds if it is reported.")
+UNIT_NOISE = Limit("unit noise", 100.0, "1", "convention",
+    "Factor of a torque's noise above the declared one from which another unit is the likelier cause.")
 NOISE_OFF = Limit("noise off", 2.5, "1", "trial",
     "Noise above that multiple of the declared one is reported. In the trials a controller moves the base by its own "
     "noise, which reaches 2.2.")

@@ -219,15 +219,33 @@ def test_swapped_arguments_are_said_to_be_swapped(
     assert run("check-arm", log, ARM) == 2
     said = capsys.readouterr().err
     assert (
-        "run.blf is a run, in the place of the arm file: the two are swapped; remedy: `zygos check-arm ARM.toml RUN`"
-        in said
+        "run.blf is a recording, in the place of the arm file: are the two swapped? "
+        "remedy: `zygos check-arm ARM.toml RUN`" in said
     )
     for command in (("estimate", ARM, "-o", tmp_path / "m.toml"), ("predict", ARM, "--model", EXAMPLE / "model.toml")):
         assert run(*command) == 2
-        assert "arm.toml is an arm file or a model, in the place of a run" in capsys.readouterr().err
+        assert "arm.toml is an arm file, in the place of a recording" in capsys.readouterr().err
     assert run("estimate", log, "--arm", log, "-o", tmp_path / "m.toml") == 2
     assert "`zygos estimate RUN... --arm ARM.toml`" in capsys.readouterr().err
-    assert not (tmp_path / "m.toml").exists()
+    (tmp_path / "map.toml").write_text("[time]\n")
+    assert run("convert", tmp_path / "map.toml", "--map", log, "--arm", ARM, "-o", tmp_path / "out" / "run.npz") == 2
+    assert "`zygos convert RECORDING --map MAP.toml --arm ARM.toml`" in capsys.readouterr().err
+    for arguments, wrong in (
+        (("check-arm", tmp_path, log), "is a folder; remedy: give the arm file in it"),
+        (
+            ("check-arm", EXAMPLE / "model.toml", log),
+            "model.toml: is a model, not an arm file; remedy: give an arm file",
+        ),
+        (
+            ("convert", log, "--map", ARM, "--dbc", "x.dbc", "--arm", ARM, "-o", tmp_path / "r.npz"),
+            "is an arm file, not a map",
+        ),
+        (("predict", log, "--arm", ARM, "--model", tmp_path), "is a folder; remedy: give a model in it"),
+        (("simulate", ARM, "-o", tmp_path / "r.blf"), "is an arm file, not a scenario"),
+    ):
+        assert run(*arguments) == 2
+        assert wrong in capsys.readouterr().err
+    assert {file.name for file in tmp_path.iterdir()} == {"run.blf", "map.toml"}
 
 
 def test_other_bad_input_is_refused(

@@ -77,6 +77,10 @@ def test_a_message_that_comes_twice_in_one_file(tmp_path: Path, capsys: pytest.C
     (tmp_path / "x.dbc").write_text(SOUND.read_text() + twice)
     (said,) = warnings(tmp_path / "x.dbc", tmp_path)
     assert "message Foreign is defined twice, with the identifiers 0x3E8 and 0x3E9; the map does not" in said
+    same = FOREIGN.format("0|8@1+") + FOREIGN.replace("Foreign", "Valve").format("0|8@1+")
+    (tmp_path / "x.dbc").write_text(SOUND.read_text() + same)
+    (said,) = warnings(tmp_path / "x.dbc", tmp_path)
+    assert "messages Foreign and Valve have the same identifier 0x3E8; the map does not use that message" in said
 
 
 @pytest.mark.slow(only=["length", "identifier", "two"])

@@ -6,6 +6,7 @@ from __future__ import annotations
 import gzip
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,12 @@ from cli_support import run
 from numpy.typing import NDArray
 from telemetry_support import edited
 
-from conftest import ROOT, need
-from zygos.arm import load_arm
+from conftest import EXAMPLE, ROOT, need
+from zygos.arm import Arm, load_arm
 from zygos.files.tables import read_columns, write_columns
-from zygos.runs.cycles import Cycles
-from zygos.runs.tables import read_cycles
+from zygos.runs.cycles import BREAK_BEFORE, INVALID, Cycles
+from zygos.runs.tables import read_cycles, write_cycles
+from zygos.simulation.plant import Trajectory
 
 CASES = ROOT.parent / "shared" / "cases"
 PLANAR = ('"planar-symmetric"', '"planar"')
@@ -102,6 +104,41 @@ def test_an_angle_that_wraps_is_named_and_then_unwrapped(
     moved = got.theta - expected.theta
     assert np.allclose(moved, np.round(moved[0] / (2 * np.pi)) * 2 * np.pi, atol=1e-4)  # steps of 0.01 degrees
     assert max(row["sigma"] for row in report["signals"] if row["unit"] == "rad") < 2e-4
+
+
+def test_a_run_whose_angle_wraps_is_unwrapped_without_a_map(
+    noisy: Trajectory, arm: Arm, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command that check-arm proposes; breaks and missing cycles of the run remain."""
+    clean = noisy.cycles(0)
+    q, flags = clean.q.copy(), clean.flags.copy()
+    low = np.median(q[:, 1])
+    q[:, 1] = np.mod(q[:, 1] - low, 2 * np.pi) + low
+    wraps = int(np.count_nonzero(np.abs(np.diff(q[:, 1])) > np.pi))
+    flags[700], flags[900] = BREAK_BEFORE, INVALID
+    for suffix in ("npz", "csv"):
+        source, out = tmp_path / f"wrapped.{suffix}", tmp_path / suffix / "run.npz"
+        write_cycles(source, replace(clean, q=q, flags=flags))
+        (tmp_path / "arm.toml").write_text((EXAMPLE / "arm.toml").read_text())
+        assert run("check-arm", tmp_path / "arm.toml", source) == 3
+        assert f"elbow link angle wraps {wraps} times" in (said := capsys.readouterr().err.replace("\n", " "))
+        assert "`zygos convert RUN --arm ARM.toml -o NEW`" in said
+        assert run("convert", source, "--arm", tmp_path / "arm.toml", "-o", out) == 0
+        got, kept = read_cycles(out, arm), np.delete(np.arange(len(clean)), 900)
+        np.testing.assert_allclose(np.diff(got.q, axis=0), np.diff(clean.q[kept], axis=0), atol=1e-9)
+        np.testing.assert_array_equal(got.tau, clean.tau[kept])
+        assert np.flatnonzero(got.flags).tolist() == [700, 900]
+        assert got.sync[900] == 901
+
+
+def test_what_is_no_run_needs_a_map(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for source, said in (
+        (CASES / "jointstate_two_publishers_zeros.mcap", "remedy: give it with --map"),
+        (folder / "csv_angle_wraps_360.npz", "convert other tables with `zygos convert --map`"),
+    ):
+        assert run("convert", source, "--arm", folder / "jointstate_arm.toml", "-o", folder / "no" / "run.npz") == 2
+        assert said in capsys.readouterr().err.replace("\n", " ")
+        assert not (folder / "no").exists()
 
 
 def test_the_zeros_of_a_second_publisher_are_left_out(folder: Path) -> None:

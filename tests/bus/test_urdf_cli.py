@@ -171,6 +171,14 @@ def test_the_arm_file_alone_needs_no_masses(tmp_path: Path, capsys: pytest.Captu
     assert run("import", bare, "--template", tmp_path / "t.toml") == 0
 
 
+def test_without_any_inertial_the_arm_file_comes_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bare, out = tmp_path / "bare.urdf", tmp_path / "out"
+    bare.write_text(re.sub(r"<inertial>.*?</inertial>", "", URDF.read_text(), flags=re.DOTALL))
+    assert run("import", bare, "--answers", ANSWERS, "-o", out) == 0
+    assert "no link has an <inertial>, so that only the arm file is written" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["arm.toml"] and load_arm(out / "arm.toml").n == 7
+
+
 def test_a_terminal_is_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -376,11 +376,13 @@ def test_a_gyro_in_another_unit_is_not_turned(
     assert all(fault.startswith(f"in {unit}, not in rad/s") for fault in found.values())
 
 
-@pytest.mark.slow
+@pytest.mark.slow(but=["q-columns4-1.4"])
 @pytest.mark.parametrize(
     ("kind", "columns", "periods"),
-    [("tau", (0, 1), 2.0), ("tau", (0, 1), 1.4), ("tau", (0,), 1.5), ("omega", (0, 1, 2), 3.3)],
-)
+    [("tau", (0, 1), 2.0), ("tau", (0, 1), 1.4), ("tau", (0,), 1.5), ("omega", (0, 1, 2), 3.3), ("q", (0, 1), 1.4),
+     ("q", (1,), 2.0), ("theta", (0, 1), 2.3), ("theta", (0,), 1.2), ("theta", (0, 1), -2.0), ("q", (0, 1), -3.0),
+     ("tau", (0, 1), -0.7)],
+)  # fmt: skip
 def test_a_delay_is_found_within_its_interval(
     runs: dict[str, tuple[Arm, list[Cycles]]], kind: Kind, columns: tuple[int, ...], periods: float
 ) -> None:
@@ -388,11 +390,23 @@ def test_a_delay_is_found_within_its_interval(
     moved = taken_later(clean[0], Group(kind, columns), -periods)
     found = audit(arm, Cycles(*(getattr(moved, name)[10:-10] for name in Cycles.__dataclass_fields__)))
     (finding,) = found.findings
-    said = re.fullmatch(r"late by ([\d.]+) ms ± ([\d.e+-]+)", finding.fault)
-    assert said is not None
-    late_ms, sigma_ms = float(said[1]), float(said[2])
-    assert abs(late_ms - 1e3 * arm.period_s * periods) < 4.0 * sigma_ms + 0.05
+    said = re.fullmatch(r"(late|early) by ([\d.]+) ms ± ([\d.e+-]+)", finding.fault)
+    assert said is not None and said[1] == ("late" if periods > 0.0 else "early")
+    late_ms, sigma_ms = float(said[2]), float(said[3])
+    assert abs(late_ms - 1e3 * arm.period_s * abs(periods)) < 4.0 * sigma_ms + 0.05
     assert {one.key for one in finding.settings} == {"delay_s"}
+
+
+@pytest.mark.slow
+def test_both_angles_that_are_late_are_no_early_torques(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    """The gyro decides."""
+    arm, clean = runs["b"]
+    moved = taken_later(clean[0], Group("theta", (0, 1), both=True), -4.0)
+    (finding,) = audit(arm, Cycles(*(getattr(moved, name)[10:-10] for name in Cycles.__dataclass_fields__))).findings
+    said = re.fullmatch(r"late by ([\d.]+) ms ± ([\d.e+-]+)", finding.fault)
+    assert finding.signal == "angles" and said is not None
+    assert abs(float(said[1]) - 20.0) < 4.0 * float(said[2])
+    assert {one.table[2] for one in finding.settings} == {"motor", "link"} and len(finding.settings) == 4
 
 
 @pytest.mark.slow
@@ -429,7 +443,7 @@ def test_the_headline_says_what_is_open(runs: dict[str, tuple[Arm, list[Cycles]]
     found = replace(audit(arm, clean[0]), notes=("torque_law: not decided (…)",))
     answer = answer_of(Run(arm, table=clean[0]), found)
     assert found.ok and answer.tone == "open"
-    assert answer.sentence == "the run confirms every signal of the arm file; open: torque_law"
+    assert answer.sentence == "signs and places of the signals are confirmed, but not decided: torque_law"
 
 
 def test_what_does_not_move_is_not_decided(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
@@ -647,6 +661,13 @@ def test_the_grid_of_readings() -> None:
         assert grid_step(wired, [(0, 3000)], STEP) == pytest.approx(step, rel=1e-5)
     assert np.isnan(grid_step(smooth, [(0, 3000)], STEP))
     assert np.isnan(grid_step(STEP * np.rint(smooth / STEP), [(0, 3000)], STEP))
+
+
+def test_equal_means_are_equal() -> None:
+    """A mean of equal readings is not bit for bit what its neighbour is."""
+    x = np.concatenate([np.sin(np.arange(30.0)), np.full(40, 0.4), np.sin(np.arange(30.0))])
+    x[31:70:2] *= 1.0 + 1e-15
+    assert runs_of_equal(x, [(0, 100)], 20) == [(30, 70)]
 
 
 def test_noise_and_flat_stretches() -> None:

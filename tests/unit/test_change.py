@@ -19,11 +19,13 @@ from state_support import config_of_its_own
 from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
 from zygos.estimation.watch import Watch
+from zygos.estimation.words import about_change
 from zygos.model.model import Model, Quantity
 from zygos.native.flight import (
     CHANGE_ALARM,
     MIN_SIGNAL_TO_NOISE,
     OVERDECLARED,
+    REASONS,
     Drift,
     Estimate,
     Flight,
@@ -374,3 +376,17 @@ def test_a_memory_in_minutes(tmp_path: Path) -> None:
     assert config_of(arm).forgetting_factor == pytest.approx(1.0 - 0.05 / 1800.0, rel=1e-9)
     assert load_arm(with_memory(tmp_path, "2")).memory_s == 120.0
     assert config_of(load_arm(LIVELY / "arm.toml")).forgetting_factor == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "reason", "certain"),
+    [("k1", "", True), ("k1", REASONS[lib.ZYGOS_REASON_UNCLOSED], False), ("torque_gain2", "", False)],
+)
+def test_a_balance_that_does_not_close_shows_no_change(name: str, reason: str, certain: bool) -> None:
+    """Link angles that are late look like a changed arm as soon as the motion is another one."""
+    arm = load_arm(LIVELY / "arm.toml")
+    result = replace(Flight(arm).estimate(), reason=reason)
+    drift = Drift(names=(name,), deviation=np.array([9.0]), reason="", cluster=1.0, until=1000)
+    said = about_change(result, drift, arm)
+    assert ("the arm changed after 50 s" in said) == certain
+    assert ("`zygos check-arm`" in said) != certain

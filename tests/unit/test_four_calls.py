@@ -3,55 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
+from arcs_support import KINDS, recording, run
 from flight_support import joined, part
 from loop_support import ASKED, GIVEN, IDLE, SOLVED, Loop, frames_of, native_cycles
-from motion_support import random_ground
-from rows_support import run as simulated
 from soak_support import again, stored
 
 from conftest import EXAMPLE
-from zygos.arm import Arm, load_arm
+from zygos.arm import Arm
 from zygos.model.model import load_model
 from zygos.native.flight import Flight, accepted, closed_blocks, config_of, encode, ffi, lib
 from zygos.runs.cycles import Cycles
 from zygos.simulation.scenario import load_scenario
 
-KINDS = ("planar", "spatial", "ground")
-"""Arms with rows of every kind."""
 CUT = {
     lib.ZYGOS_ENERGY_ROWS: ("energy", "arc"), lib.ZYGOS_MOTOR_ROWS: ("motors",),
     lib.ZYGOS_MOMENTUM_ROWS: ("momentum",), 3: ("joints",), 4: ("guard", "cycle", "checksum"),
 }  # fmt: skip
 """What each cut of the hand-over is of, by ``zygos_handover_t.kind``."""
 WRITTEN = ("value", "sigma", "half95", "covariance", "solution")
-
-
-@cache
-def recording() -> tuple[Arm, Cycles]:
-    """A minute of the example without noise."""
-    arm = load_arm(EXAMPLE / "arm.toml")
-    return arm, stored(arm, load_model(EXAMPLE / "model.toml"), load_scenario(EXAMPLE / "scenario.toml"))
-
-
-@cache
-def run(kind: str) -> tuple[Arm, Cycles]:
-    """Cycles in arcs of which many end while sums are copied."""
-    if kind == "ground":
-        known = random_ground(3, "spatial", 2600)
-        return known.arm, known.cycles(0)
-    if kind == "spatial":
-        arm, motion, _, _ = simulated("spatial")
-        rng = np.random.default_rng(0)
-        arm = replace(arm, arc_max_s=1.2, impulse_arc_s=0.4, momentum_max_s=0.6)
-        return arm, joined(*(again(arm, motion, 1 + lap * len(motion), rng) for lap in range(2)))
-    arm, motion = recording()
-    arm = replace(arm, arc_max_s=6.0, impulse_arc_s=2.0, momentum_max_s=4.0, memory_s=600.0)
-    return arm, part(again(arm, motion, 1, np.random.default_rng(0)), 0, 1000)
 
 
 def flown(arm: Arm, cycles: Cycles, *, in_place: bool = False) -> tuple[Loop, list[Any]]:

@@ -8,38 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import copy_of, joined, part
-from motion_support import random_ground
-from rows_support import run as simulated
-from soak_support import again, stored
+from arcs_support import KINDS, run
+from flight_support import copy_of, part
 from state_support import config_of_its_own, lose_the_way, sums
 
-from conftest import EXAMPLE
-from zygos.arm import Arm, load_arm
-from zygos.model.model import load_model
 from zygos.native.flight import REASONS, Estimate, Flight, config_of, ffi, lib
-from zygos.runs.cycles import Cycles
-from zygos.simulation.scenario import load_scenario
 
-KINDS = ("planar", "spatial", "ground")
 CORRUPT = REASONS[lib.ZYGOS_REASON_CORRUPT]
-
-
-@cache
-def run(kind: str) -> tuple[Arm, Cycles]:
-    """Rows of every kind, in arcs of which several are closed and one is open; joint rows on the ground."""
-    if kind == "ground":
-        known = random_ground(3, "spatial", 4000)
-        return known.arm, known.cycles(0)
-    if kind == "spatial":
-        arm, motion, _, _ = simulated("spatial")
-        arm = replace(arm, arc_max_s=1.2, impulse_arc_s=0.4, momentum_max_s=0.6)
-        rng = np.random.default_rng(0)
-        return arm, joined(*(again(arm, motion, 1 + lap * len(motion), rng) for lap in range(2)))
-    arm, model = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
-    motion = stored(arm, model, load_scenario(EXAMPLE / "scenario.toml"))
-    arm = replace(arm, arc_max_s=6.0, impulse_arc_s=2.0, momentum_max_s=4.0)
-    return arm, part(again(arm, motion, 1, np.random.default_rng(0)), 0, 1000)
 
 
 @cache

@@ -10,7 +10,7 @@ from audit_support import Fault, both, inverted, scaled, swapped
 from panda_support import panda, recorded
 
 from zygos.arm import TorqueUnit
-from zygos.audit import Audit, audit
+from zygos.audit import Audit, audit, remedies
 from zygos.runs.cycles import Cycles
 
 SIGMA = 0.01
@@ -124,6 +124,13 @@ def test_the_noise_of_torques_is_compared_with_the_declared_one() -> None:
     assert any(fault.startswith("noisier than declared by a factor of ") for fault in said.values())
     silent = audited(cycles, 0.0)
     assert silent.ok and all(any(f"{name}: changes by" in text for text in silent.remarks) for name in T[:THREE])
+
+
+def test_a_torque_that_is_noisier_by_a_unit_may_be_a_current() -> None:
+    """A current of mA at 0.1 Nm/A reads 10,000 times the torque; no other evidence shows a scale that all have."""
+    arm = replace(panda(1), joints=(replace(panda(1).joints[0], torque_sigma=2e-4),))
+    assert "about 0.1 Nm/A if" in remedies.noisy_torque(arm, 0, 2.0).text
+    assert remedies.noisy_torque(arm, 0, 6e-4).text.startswith("torque_sigma = 0.0006 of the joint")
 
 
 def test_a_short_run_decides_nothing() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from zygos.arm import Arm, TorqueLaw
 from zygos.audit.alone import check_flat, check_steps, check_traffic
-from zygos.audit.case import Case
+from zygos.audit.case import GROUPS, Case
 from zygos.audit.drives import check_coupled, check_motors, check_skews, check_zeros, confirm_torques
 from zygos.audit.findings import Audit, Pair, Signal, Traffic
 from zygos.audit.grounded import check_grounded
@@ -108,13 +108,13 @@ def _together(
     balance = check_coupled(case, make_balance(case, broken), motors, unfit)
     late = None
     if balance is not None:
-        balance, late = check_whole(case, check_gains(case, balance))
+        balance, late = check_whole(case, check_gains(case, balance), pairs)
     report(0.8)
     skewed = check_skews(case, pairs, balance)
     if balance is None:
         return list(pairs.values()), {}
     if late is not None and not skewed:
-        balance = check_timing(case, balance, late)
+        balance = check_timing(case, balance, late, pairs)
     laws = judge_law(case, balance, skewed)
     check_smoother(case, balance)
     return list(pairs.values()), laws
@@ -130,8 +130,7 @@ def _signals(case: Case) -> tuple[Signal, ...]:
 def _signal(case: Case, read: Case, name: str, kind: Kind, i: int) -> Signal:
     valid = read.valid(kind, i)
     angle = kind in ("q", "theta")
-    group = {"tau": "torques", "omega": "gyro"}.get(kind, name)
-    faults = [f.fault for f in case.findings if f.signal in (name, group)]
+    faults = [f.fault for f in case.findings if f.signal in (name, GROUPS[kind], *(["angles"] if angle else []))]
     decided = name not in case.undecided or bool(faults)
     return Signal(
         name=name,

@@ -146,9 +146,9 @@ class Balance:
             found[i] = 1.0 / (1.0 + estimate.solution[estimate.names.index(f"{GAIN}{i + 1}")])
         return np.asarray(found / found[0], dtype=np.float64)
 
-    def laws(self, arm: Arm) -> dict[TorqueLaw, float]:
+    def laws(self, arm: Arm, cycles: Cycles) -> dict[TorqueLaw, float]:
         """rms residual under each torque law, J."""
-        return {law: self.residual(replace(arm, torque_law=law), self.cycles) for law in LAWS}
+        return {law: self.residual(replace(arm, torque_law=law), cycles) for law in LAWS}
 
     def trials(self, zeros: dict[str, Array]) -> Iterator[tuple[float, WholeFault]]:
         """What is `left` after correction of each fault. zeros: as in `zygos.audit.motors.changed`."""

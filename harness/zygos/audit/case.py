@@ -11,9 +11,12 @@ from zygos.arm import ANGLE_STEP, Arm, Encoder, rounded
 from zygos.audit.findings import SignalFault, Traffic, signal_names
 from zygos.audit.means import Array
 from zygos.audit.readings import grid_step, noise_beside, white_noise
-from zygos.audit.remedies import Kind, Remedy
+from zygos.audit.remedies import ANGLES, Kind, Remedy
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import segments
+
+GROUPS: dict[Kind, str] = {"q": "link angles", "theta": "motor angles", "tau": "torques", "omega": "gyro"}
+"""What all readings of a kind are called."""
 
 
 class Case:
@@ -67,6 +70,11 @@ class Case:
     def faulty(self, signal: str, *begins: str) -> bool:
         """Whether a signal has a fault, or one that begins with one of these texts."""
         return any(f.signal == signal and f.fault.startswith(begins or ("",)) for f in self.findings)
+
+    def late(self, kind: Kind, i: int) -> bool:
+        """Whether a reading is late or early, alone or with all others of its kind."""
+        signals = (self.name(kind, i), GROUPS[kind], *(["angles"] if kind in ANGLES else []))
+        return any(self.faulty(signal, "late", "early") for signal in signals)
 
     def readings(self, kind: str, index: int) -> Array:
         """(n,) readings of a signal."""

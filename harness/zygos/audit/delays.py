@@ -17,7 +17,7 @@ import numpy as np
 
 from zygos import limits
 from zygos.audit.means import BLOCKS, Array
-from zygos.audit.remedies import Kind
+from zygos.audit.remedies import ANGLES, Kind
 from zygos.runs.cycles import INVALID, Cycles
 
 Residual = Callable[[float, int | None], float]
@@ -28,8 +28,14 @@ MOST_S = 0.3
 _ROUNDS, _CLOSE = 3, 0.02
 """Number of times that the three shifts are laid about the last result at most, and the step after which they are
 not, in periods."""
-_SPAN = 0.25
-"""Distance of the last three shifts, in periods."""
+_SPANS: dict[Kind, tuple[float, float]] = {
+    "q": (1.0, 2.0),
+    "theta": (1.0, 2.0),
+    "tau": (0.25, 1.0),
+    "omega": (0.25, 1.0),
+}
+"""Distance of the last three shifts, in periods, and of three whose difference from these is part of the error. Shifts
+by whole periods apart interpolate alike, so that the steps of an encoder remain in the readings to the same part."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,13 @@ class Group:
 
     kind: Kind
     columns: tuple[int, ...]
+    both: bool = False
+    """Whether the other angles of these joints are delayed as well."""
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """All kinds of its readings."""
+        return ANGLES if self.both else (self.kind,)
 
 
 @dataclass(frozen=True)
@@ -55,26 +68,34 @@ class Delay:
     """By how much less that is."""
 
 
+_STRAIGHT, _CURVED = (0, 1), (-1, 0, 1, 2)
+"""Cycles about a reading between which it is interpolated: torques, which may be held, linearly."""
+
+
 def shifted(cycles: Cycles, group: Group, periods: float) -> Cycles:
     """The run with the readings of a group taken from `periods` later; cycles for which there are none are invalid.
 
-    Torques that are held, and others nearly, are interpolated linearly between cycles.
+    Torques are interpolated linearly between cycles, because they may be held, and others by a cubic polynomial.
     """
     n, whole = len(cycles), math.floor(periods)
     share = periods - whole
-    readings: Array = getattr(cycles, group.kind)
-    later = np.arange(n) + whole
-    first, second = np.clip(later, 0, n - 1), np.clip(later + (share > 0.0), 0, n - 1)
-    inside = (later >= 0) & (later + (share > 0.0) < n)
-    number = cycles.sync.astype(np.int64)
-    same = inside & (number[first] - number == whole) & (number[second] - number == whole + (share > 0.0))
-    same &= ((cycles.flags[first] | cycles.flags[second]) & INVALID) == 0
-    moved = readings.copy()
+    points = (0,) if not share else _STRAIGHT if group.kind == "tau" else _CURVED
+    steps = [whole + point for point in points]
+    weights = [math.prod((share - other) / (point - other) for other in points if other != point) for point in points]
+    number, flags = cycles.sync.astype(np.int64), cycles.flags
+    at = [np.clip(np.arange(n) + step, 0, n - 1) for step in steps]
+    same = np.ones(n, dtype=np.bool_)
+    for taken, step in zip(at, steps, strict=True):
+        same &= (number[taken] - number == step) & ((flags[taken] & INVALID) == 0)
+    fields: dict[str, Any] = {"flags": np.where(same, flags, flags | np.uint32(INVALID)).astype(np.uint32)}
     columns = list(group.columns)
-    moved[:, columns] = (1.0 - share) * readings[first][:, columns] + share * readings[second][:, columns]
-    fields: dict[str, Any] = {group.kind: moved}
-    flags = np.where(same, cycles.flags, cycles.flags | np.uint32(INVALID)).astype(np.uint32)
-    return replace(cycles, flags=flags, **fields)
+    for kind in group.kinds:
+        readings: Array = getattr(cycles, kind)
+        fields[kind] = readings.copy()
+        fields[kind][:, columns] = sum(
+            weight * readings[taken][:, columns] for weight, taken in zip(weights, at, strict=True)
+        )
+    return replace(cycles, **fields)
 
 
 def without(cycles: Cycles, block: int | None) -> Cycles:
@@ -123,20 +144,24 @@ def find_delay(group: Group, residual: Residual, now: float, period_s: float) ->
         if not abs(further) > _CLOSE:
             break
         centre += further
-    each = [step(centre, block, _SPAN) for block in range(BLOCKS)]
-    nearer = step(centre, span=_SPAN)
+    near, far = _SPANS[group.kind]
+    each = [step(centre, block, near) for block in range(BLOCKS)]
+    nearer = step(centre, span=near)
     # what is left is not exactly quadratic: two spans differ
-    sigma = math.hypot(math.sqrt((BLOCKS - 1) * float(np.var(each))), nearer - step(centre))
+    sigma = math.hypot(math.sqrt((BLOCKS - 1) * float(np.var(each))), nearer - step(centre, span=far))
     centre += nearer
     if not (math.isfinite(sigma) and abs(centre) > limits.SKEW_Z.value * sigma):
         return None
     return Delay(group, centre, sigma, math.sqrt(left), ratio)
 
 
-def groups(joints: Sequence[int], *, gyro: bool) -> list[Group]:
-    """What may be delayed together: the gyro, all torques, and each torque."""
-    found = [Group("omega", (0, 1, 2))] if gyro else []
-    found += [Group("tau", tuple(joints))]
-    if len(joints) > 1:
-        found += [Group("tau", (i,)) for i in joints]
+def groups(joints: Sequence[int], flexible: Sequence[int] = (), *, gyro: bool) -> list[Group]:
+    """What may be delayed together: the gyro, all torques, each torque, and of flexible joints all link angles, all
+    motor angles, and each of these. With a gyro also all angles of the arm: without one, they are late if all
+    torques are early."""
+    found = [Group("omega", (0, 1, 2)), Group("theta", tuple(joints), both=True)] if gyro else []
+    kinds: list[tuple[Kind, Sequence[int]]] = [("tau", joints), ("q", flexible), ("theta", flexible)]
+    for kind, columns in kinds:
+        found += [Group(kind, tuple(columns))] if columns else []
+        found += [Group(kind, (i,)) for i in columns] if len(columns) > 1 else []
     return found

@@ -17,6 +17,7 @@ from zygos.audit.findings import Pair
 from zygos.audit.means import Means
 from zygos.audit.motors import NOTHING, Change, Motors, changed
 from zygos.audit.readings import noise_level
+from zygos.audit.remedies import ANGLES
 from zygos.audit.units import Scale, find_scale, nearest, scales
 from zygos.errors import ZygosError
 
@@ -186,6 +187,7 @@ def check_skews(case: Case, found: dict[int, Pair], balance: Balance | None) -> 
         i: p.skew_s
         for i, p in found.items()
         if abs(p.skew_s) > max(limits.SKEW_Z.value * p.skew_sigma_s, limits.SKEW.value * case.arm.period_s)
+        and not any(case.late(kind, i) for kind in ANGLES)
     }
     for i in wanted:
         joint, own = case.arm.joints[i], found[i]
@@ -215,8 +217,8 @@ def _is_friction(case: Case, i: int, own: Pair, wanted: dict[int, float], balanc
     if balance is None:
         return True
     others = {j: skew for j, skew in wanted.items() if j != i}
-    without = balance.residual(unskewed(case.arm, others), balance.cycles)
-    return not balance.residual(unskewed(case.arm, wanted), balance.cycles) < without
+    without = balance.residual(*unskewed(case.arm, balance.cycles, others))
+    return not balance.residual(*unskewed(case.arm, balance.cycles, wanted)) < without
 
 
 def _find_skew(case: Case, i: int, joint: Joint, own: Pair) -> None:

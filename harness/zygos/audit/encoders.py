@@ -6,8 +6,10 @@ import math
 from dataclasses import replace
 
 from zygos.arm import Arm, Encoder
+from zygos.audit.delays import Group, shifted
 from zygos.audit.findings import Pair
 from zygos.audit.means import Array, Means, jackknifed, smooth_direction
+from zygos.runs.cycles import Cycles
 
 
 def pair(means: Means, joint: int, stiff: bool) -> Pair:
@@ -45,14 +47,16 @@ def pair(means: Means, joint: int, stiff: bool) -> Pair:
     )
 
 
-def unskewed(arm: Arm, skews: dict[int, float]) -> Arm:
-    """The arm with later latches for the newer encoders: skews in s by joint, as `Pair.skew_s`."""
+def unskewed(arm: Arm, cycles: Cycles, skews: dict[int, float]) -> tuple[Arm, Cycles]:
+    """The arm with later latches for the newer encoders, and the run with newer readings of the older ones where the
+    period has no room for the latch: skews in s by joint, as `Pair.skew_s`."""
     joints = list(arm.joints)
     for i, skew in skews.items():
         side = "motor_encoder" if skew > 0.0 else "link_encoder"
         encoder: Encoder = getattr(joints[i], side)
         if 1e-6 * (joints[i].latch_us + encoder.latch_us) + abs(skew) >= arm.period_s:
+            cycles = shifted(cycles, Group("q" if skew > 0.0 else "theta", (i,)), abs(skew) / arm.period_s)
             continue
         late = replace(encoder, latch_us=encoder.latch_us + round(1e6 * abs(skew)))
         joints[i] = replace(joints[i], motor_encoder=late) if skew > 0.0 else replace(joints[i], link_encoder=late)
-    return replace(arm, joints=tuple(joints))
+    return replace(arm, joints=tuple(joints)), cycles

@@ -16,8 +16,9 @@ from zygos.audit.means import Array
 def runs_of_equal(readings: Array, ranges: Sequence[tuple[int, int]], at_least: int) -> list[tuple[int, int]]:
     """Half-open ranges of `at_least` or more equal readings."""
     out = []
+    least = 1e-9 * float(np.nanmax(np.abs(readings), initial=0.0))  # means of equal readings differ by rounding
     for start, stop in ranges:
-        edges = np.flatnonzero(np.diff(readings[start:stop]) != 0.0) + 1 + start
+        edges = np.flatnonzero(np.abs(np.diff(readings[start:stop])) > least) + 1 + start
         bounds = np.concatenate([[start], edges, [stop]])
         out += [(int(a), int(b)) for a, b in itertools.pairwise(bounds) if b - a >= at_least]
     return out

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from zygos import limits
 from zygos.arm import Arm, Encoder, Joint, TorqueLaw
 
 Value = float | int | str | tuple[float, ...]
@@ -21,6 +22,7 @@ Kind = Literal["q", "theta", "tau", "omega"]
 """Field of `Cycles`."""
 KINDS: tuple[Kind, ...] = ("q", "theta", "tau")
 """Those of a joint."""
+ANGLES: tuple[Kind, ...] = ("q", "theta")
 
 IN_MAP = {"q": "link", "theta": "motor", "tau": "torque"}
 """Table of a reading in the map, by field of `Cycles`; that of the gyro has its axis."""
@@ -114,12 +116,20 @@ def noisy_gyro(noise: float) -> Remedy:
 
 
 def noisy_torque(arm: Arm, i: int, noise: float) -> Remedy:
-    """Of a torque whose noise is larger than the declared one."""
+    """Of a torque whose noise is larger than the declared one. Where it is so by a unit, this is said first; a scale
+    that all torques have in common shows nowhere else."""
     setting = _in_arm(arm, "tau", i, "torque_sigma", float(f"{noise:.2g}"))
-    return Remedy(
-        f"{setting} of the joint; nothing if the drive really applies torques that change so much from cycle to cycle",
-        (setting,),
+    text = (
+        f"{setting} of the joint; nothing if the drive really applies torques that change so much from cycle to cycle"
     )
+    sigma = arm.joints[i].torque_sigma
+    if arm.torque_unit == "Nm" and sigma > 0.0 and noise > limits.UNIT_NOISE.value * sigma:
+        text = (
+            'check the unit: of currents, unit = "mA" and torque_constant of torque in the map (`zygos convert`), '
+            f'about {1e3 * sigma / noise:.1g} Nm/A if torque_sigma is right; of mNm, unit = "mNm"; only if it is Nm, '
+            f"{text}"
+        )
+    return Remedy(text, (setting,))
 
 
 def inverted(arm: Arm, kind: Kind, i: int) -> Remedy:
@@ -181,7 +191,11 @@ def gear_ratio(arm: Arm, i: int, factor: float) -> Remedy:
 def wraps(arm: Arm, kind: Kind, i: int, modulo: float) -> Remedy:
     """Of an angle that starts again after a turn."""
     setting = _in_map(arm, kind, i, "modulo", float(f"{modulo:.12g}"))
-    return Remedy(f"{_of_map(setting)}, which is a turn in the unit of the run", (setting,))
+    return Remedy(
+        "`zygos convert RUN --arm ARM.toml -o NEW`, which unwraps it; where RUN was converted, the key modulo of the "
+        f"{setting.table[2]} in its map as well",
+        (setting,),
+    )
 
 
 def zero(arm: Arm, i: int, off_rad: float) -> Remedy:
@@ -197,34 +211,44 @@ def zero(arm: Arm, i: int, off_rad: float) -> Remedy:
 
 def skew(arm: Arm, i: int, skew_s: float) -> Remedy:
     """Of two encoders of a joint that are read at different times; skew_s > 0: the motor's later."""
-    newer, older = ("motor", "link") if skew_s > 0.0 else ("link", "motor")
-    joint = arm.joints[i]
-    encoder = joint.motor_encoder if newer == "motor" else joint.link_encoder
-    latch = encoder.latch_us + round(1e6 * abs(skew_s))
-    kinds: dict[str, Kind] = {"motor": "theta", "link": "q"}
-    if joint.latch_us + latch + 0.5 < 1e6 * arm.period_s:
-        setting = _in_arm(arm, kinds[newer], i, "latch_us", latch)
-        return Remedy(
-            f"{setting} of the {newer}_encoder; if instead the {older} angle is old, torque and gyro are newer as well",
-            (setting,),
-        )
-    setting = _in_map(arm, kinds[older], i, "delay_s", float(f"{abs(skew_s):.4g}"))
-    return Remedy(_of_map(setting), (setting,))
+    newer: Kind = "theta" if skew_s > 0.0 else "q"
+    older: Kind = "q" if skew_s > 0.0 else "theta"
+    latch = _latch(arm, newer, i, abs(skew_s))
+    if latch is None:
+        return delay(arm, older, [i], abs(skew_s))
+    return Remedy(
+        f"{latch} of the {latch.table[-1]}; if instead the {IN_MAP[older]} angle is old, torque and gyro are newer as "
+        "well",
+        (latch,),
+    )
 
 
-def delay(arm: Arm, kind: Kind, columns: Sequence[int], delay_s: float) -> Remedy:
-    """Of readings of one kind that are older than their stamps by delay_s; negative: newer."""
-    settings = tuple(_in_map(arm, kind, i, "delay_s", float(f"{delay_s:.4g}")) for i in columns)
-    return Remedy(_of_map(settings[0]), settings)
+def _latch(arm: Arm, kind: Kind, i: int, later_s: float) -> Setting | None:
+    """The key for a sensor that is read later_s later than the arm file says; None where the period has no room."""
+    if kind == "omega":
+        before, latch = 0, arm.imu.latch_us
+    else:
+        joint, encoder = _encoder(arm, kind, i)
+        before, latch = joint.latch_us, encoder.latch_us
+    latch += round(1e6 * later_s)
+    if before + latch + 0.5 >= 1e6 * arm.period_s:
+        return None
+    return Setting("arm", ("imu",), "latch_us", latch) if kind == "omega" else _in_arm(arm, kind, i, "latch_us", latch)
 
 
-def early_gyro(arm: Arm, early_s: float) -> Remedy:
-    """Of a gyro that is read later than the other sensors, by early_s > 0."""
-    latch = arm.imu.latch_us + round(1e6 * early_s)
-    if latch + 0.5 < 1e6 * arm.period_s:
-        setting = Setting("arm", ("imu",), "latch_us", latch)
-        return Remedy(f"{setting} of [imu]", (setting,))
-    return delay(arm, "omega", range(3), -early_s)
+def delay(arm: Arm, kind: Kind, columns: Sequence[int], delay_s: float, *, both: bool = False) -> Remedy:
+    """Of readings of one kind, or of both angles, that are older than their stamps by delay_s; negative: newer."""
+    latches = [None if kind == "tau" or delay_s > 0.0 or both else _latch(arm, kind, i, -delay_s) for i in columns]
+    if None not in latches:
+        settings = tuple(dict.fromkeys(latch for latch in latches if latch is not None))
+        return Remedy(f"{settings[0]} of {'[imu]' if kind == 'omega' else f'the {settings[0].table[-1]}'}", settings)
+    kinds: list[tuple[Kind, int]] = [(kind, i) for i in columns]
+    kinds += [("q", i) for i in columns if both and arm.joints[i].flexible]
+    settings = tuple(_in_map(arm, one, i, "delay_s", float(f"{delay_s:.4g}")) for one, i in kinds)
+    more = "; of link as well" if both and len(kinds) > len(columns) else ""
+    if kind == "tau" and delay_s < 0.0:
+        more = "; of a drive that acts later: the effect torque_lag of a model (`zygos estimate --model`)"
+    return Remedy(_of_map(settings[0]) + more, settings)
 
 
 def torque_law(law: TorqueLaw) -> Remedy:

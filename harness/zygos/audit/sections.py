@@ -76,7 +76,7 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
         if found.findings
         else "not confirmed"
         if not found.ok
-        else "confirmed, with something open"
+        else "signals confirmed, not everything decided"
         if found.notes
         else "confirmed",
         tone="good" if found.ok and not found.notes else "open",
@@ -216,7 +216,7 @@ def summary(found: Audit) -> str:
         names = ", ".join(signal.name for signal in found.signals if not signal.decided)
         return f"no fault was found, but nothing confirms {names}"
     if found.notes:
-        return f"the run confirms every signal of the arm file; open: {', '.join(open_questions(found))}"
+        return f"signs and places of the signals are confirmed, but not decided: {', '.join(open_questions(found))}"
     return "the run confirms every signal of the arm file"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,6 +17,7 @@ from zygos.audit.readings import grid_step
 from zygos.audit.remedies import Kind
 from zygos.runs.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, Cycles
 from zygos.runs.samples import LARGEST_ANGLE_RAD
+from zygos.runs.wraps import wraps_of
 
 FACTORS: dict[str, dict[str, float]] = {
     "angle": {"deg": math.pi / 180.0, "mrad": 1e-3, "turn": 2.0 * math.pi},
@@ -34,10 +34,6 @@ FACTORS: dict[str, dict[str, float]] = {
 """SI units per unit of `zygos.telemetry.map`, for those units in which a reading may be by mistake."""
 QUANTITY = {"q": "angle", "theta": "angle", "omega": "rate", "tau": "torque"}
 SI = {"angle": "rad", "rate": "rad/s", "torque": "Nm", "current": "A"}
-
-
-_Turn = tuple[float, str, str]
-"""A turn in the unit of the readings, and what half of it and the whole are called."""
 
 
 @dataclass(frozen=True)
@@ -126,65 +122,25 @@ def stretches(cycles: Cycles) -> list[tuple[int, int]]:
 
 def check_wraps(case: Case) -> None:
     """Report angles that start again after a turn, and go on with the run without the jumps."""
-    ranges = stretches(case.cycles)
     for name, kind, i in case.names:
         if kind not in ("q", "theta"):
             continue
-        found = _wraps(case, kind, i, ranges)
+        found = wraps_of(case.arm, case.cycles, kind, i)
         if found is None:
             continue
-        (turn, half, full), at = found
         readings: Array = getattr(case.cycles, kind).copy()
         low, high = (float(np.nanmin(readings[:, i])), float(np.nanmax(readings[:, i])))
-        column = readings[:, i]
-        for a, b in ranges:
-            column[a:b] -= turn * np.concatenate([[0.0], np.cumsum(np.rint(np.diff(column[a:b]) / turn))])
-        for (_, end), (start, _) in itertools.pairwise(ranges):
-            column[start:] -= turn * np.rint((column[start] - column[end - 1]) / turn)
+        readings[:, i] = found.readings
         fields: dict[str, Any] = {kind: readings}
         case.correct(replace(case.cycles, **fields))
-        ends = f"±{half}" if low < -0.25 * turn else f"0 and {full}"
+        ends = f"±{found.half}" if low < -0.25 * found.turn else f"0 and {found.whole}"
         case.find(
             name,
-            f"wraps {len(at)} time{'s' if len(at) > 1 else ''} at {ends}",
-            f"readings from {low:.4g} to {high:.4g}; jumps by {full} from one cycle to the next, the first "
-            f"before cycle {int(case.cycles.sync[at[0]])}",
-            remedies.wraps(case.arm, kind, i, turn),
+            f"wraps {len(found.at)} time{'s' if len(found.at) > 1 else ''} at {ends}",
+            f"readings from {low:.4g} to {high:.4g}; jumps by {found.whole} from one cycle to the next, the first "
+            f"before cycle {int(case.cycles.sync[found.at[0]])}",
+            remedies.wraps(case.arm, kind, i, found.turn),
         )
-
-
-def _wraps(case: Case, kind: Kind, i: int, ranges: list[tuple[int, int]]) -> tuple[_Turn, list[int]] | None:
-    """The turn after which an angle starts again, and the positions after the jumps; None for an angle that
-    does not wrap.
-
-    A jump goes from one end of the readings to the other, and without it the angle moves on as before.
-    """
-    readings = case.readings(kind, i)
-    at = np.concatenate([np.arange(a + 1, b) for a, b in ranges] or [np.zeros(0, dtype=np.int64)])
-    if len(at) < 3:
-        return None
-    step = readings[at] - readings[at - 1]
-    whole = float(np.ptp(readings[np.concatenate([np.arange(a, b) for a, b in ranges])]))
-    jumps = np.abs(step) > 0.5 * whole
-    if not jumps.any() or jumps.mean() > 0.5:
-        return None
-    usual = max(float(np.abs(step[~jumps]).max()), case.encoder(kind, i).quantum_rad)
-    size = float(np.median(np.abs(step[jumps])))
-    ratio = float(case.arm.joints[i].gear_ratio)
-    turns: list[_Turn] = [
-        (2.0 * math.pi, "π", "2π"),
-        (32.0 * math.pi, "16π", "32π"),
-        *((turn, f"{turn / 2.0:g} {unit}", f"{turn:g} {unit}") for turn, unit in ((360.0, "deg"), (1.0, "turn"))),
-    ]
-    if kind == "theta" and ratio != 1.0:
-        turns.append((2.0 * math.pi / ratio, f"{math.pi / ratio:.4g}", f"{2.0 * math.pi / ratio:.4g}"))
-    counts = {case.encoder(kind, i).counts, *(2**k for k in range(8, 33))} - {None}
-    turns += [(float(n), f"{n / 2.0:g} counts", f"{n} counts") for n in counts if n is not None]
-    turn = min(turns, key=lambda one: abs(math.log(one[0] / size)))
-    on = abs(np.abs(step[jumps]) - turn[0]) <= 2.0 * usual
-    if 4.0 * usual > turn[0] or not on.all():
-        return None
-    return turn, at[jumps].tolist()
 
 
 def check_units(case: Case) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,11 +15,12 @@ from zygos import limits
 from zygos.arm import TorqueLaw
 from zygos.audit import remedies
 from zygos.audit.balance import Balance, WholeFault, flattened
-from zygos.audit.case import Case
+from zygos.audit.case import GROUPS, Case
 from zygos.audit.delays import Delay, Group, find_delay, groups, shifted, without
 from zygos.audit.encoders import unskewed
+from zygos.audit.findings import Pair
 from zygos.audit.means import Array
-from zygos.audit.remedies import KINDS, Kind
+from zygos.audit.remedies import ANGLES, KINDS, Kind
 from zygos.audit.units import FACTORS, Scale, find_scale, find_torque_scale, rescaled
 from zygos.errors import ZygosError
 from zygos.runs.cycles import Cycles
@@ -134,18 +135,18 @@ def _off(gains: Array) -> NDArray[np.bool_]:
     return found
 
 
-def check_whole(case: Case, balance: Balance) -> tuple[Balance, list[Delay] | None]:
+def check_whole(case: Case, balance: Balance, pairs: dict[int, Pair]) -> tuple[Balance, list[Delay] | None]:
     """Report faults of units, gyro, whole joints and timing, the one that explains most first; returns the balance
-    after their correction, and the delays that it shows; None if those were reported."""
+    after their correction, and the delays that it shows; None if those were reported. pairs: by joint."""
     late: list[Delay] | None = []
     for _ in range(_MOST_FAULTS):
         now = balance.residual_j
         turns = [(left, fault) for left, fault in balance.trials(case.zeros)] if case.arm.free else []
         trials = [*_units(case, balance)]
         trials += [Hypothesis(left, fault.cycles, partial(_find_whole, case, fault)) for left, fault in turns]
-        late = None if late is None else _delays(case, balance)
+        late = None if late is None else _delays(case, balance, pairs)
         if late and all(late[0].residual < one.left for one in trials) and late[0].ratio >= limits.AUDIT_SURE.value:
-            balance, late = check_timing(case, balance, late), None
+            balance, late = check_timing(case, balance, late, pairs), None
             continue
         best = min(trials, key=lambda trial: trial.left, default=None)
         if best is not None and now / best.left >= limits.AUDIT_SURE.value:
@@ -190,27 +191,47 @@ def _find_whole(case: Case, fault: WholeFault, evidence: str) -> None:
 # -- timing
 
 
-def _delays(case: Case, balance: Balance) -> list[Delay]:
-    """The delays that the balance shows, that which explains most first."""
+def _delays(case: Case, balance: Balance, pairs: dict[int, Pair]) -> list[Delay]:
+    """The delays that the balance shows, that which explains most first; none where that is one of angles within a
+    period, which the comparison of the two encoders measures better."""
     now, found = balance.residual_j, list[Delay | None]()
     if balance.noisy:
         return []
-    for group in groups(range(case.arm.n), gyro=case.arm.free):
+    flexible = [i for i, joint in enumerate(case.arm.joints) if joint.flexible]
+    for group in groups(range(case.arm.n), flexible, gyro=case.arm.free):
 
         def left(periods: float, block: int | None, group: Group = group) -> float:
             return balance.residual(case.arm, without(shifted(balance.cycles, group, periods), block))
 
         found.append(find_delay(group, left, now, case.arm.period_s))
-    return sorted((one for one in found if one is not None), key=lambda one: one.residual)
+    late = [_by_pairs(one, pairs, case.arm.period_s) for one in found if one is not None]
+    late.sort(key=lambda one: one.residual)
+    one_side = late and late[0].group.kind in ANGLES and not late[0].group.both
+    return [] if one_side and abs(late[0].periods) < 1.0 else late
 
 
-def check_timing(case: Case, balance: Balance, late: list[Delay]) -> Balance:
+def _by_pairs(late: Delay, pairs: dict[int, Pair], period_s: float) -> Delay:
+    """A delay of angles as the comparison of the two encoders measures it, where that is more precise and agrees."""
+    group = late.group
+    if group.kind not in ANGLES or group.both or not set(group.columns) <= pairs.keys():
+        return late
+    skew, sigma = (
+        np.array([getattr(pairs[i], name) for i in group.columns]) / period_s for name in ("skew_s", "skew_sigma_s")
+    )
+    weight = 1.0 / sigma**2
+    periods = float(weight @ skew / weight.sum()) * (1.0 if group.kind == "q" else -1.0)
+    better = float(weight.sum() ** -0.5)
+    agrees = abs(periods - late.periods) < limits.SKEW_Z.value * math.hypot(better, late.sigma)
+    return replace(late, periods=periods, sigma=better) if better < late.sigma and agrees else late
+
+
+def check_timing(case: Case, balance: Balance, late: list[Delay], pairs: dict[int, Pair]) -> Balance:
     """Report the torque law, or delays of gyro and torques, whichever explains more; returns the balance after their
     correction. late: the delays that the balance shows."""
     arm = case.arm
     for _ in range(arm.n + 1):
         first = late[0] if late else None
-        laws = balance.laws(arm)
+        laws = balance.laws(arm, balance.cycles)
         law = min(laws, key=lambda one: laws[one])
         declared = laws[arm.torque_law]
         of_law = declared / laws[law] >= limits.SURE_LAW.value and not arm.torque_averaged
@@ -226,34 +247,25 @@ def check_timing(case: Case, balance: Balance, late: list[Delay]) -> Balance:
             return balance
         find_late(case, first, "the energy balance closes")
         balance = Balance(arm, shifted(balance.cycles, first.group, first.periods))
-        late = _delays(case, balance)
+        late = _delays(case, balance, pairs)
     return balance
 
 
 def find_late(case: Case, late: Delay, what: str) -> None:
-    """Report a delay. A torque that acts up to a period later than it is reported is a lag of the drive, no fault of a
-    signal."""
+    """Report a delay."""
     arm, group = case.arm, late.group
     seconds = late.periods * arm.period_s
-    whole = len(group.columns) == arm.n
-    signal = "gyro" if group.kind == "omega" else "torques" if whole else case.name(group.kind, group.columns[0])
     text = f"{1e3 * abs(seconds):.3g} ms ± {1e3 * late.sigma * arm.period_s:.1g}"
     evidence = f"{what} {late.ratio:.3g} times better"
-    if group.kind == "tau" and -1.0 < late.periods < 0.0:
-        case.remarks.append(
-            f"{signal}: act{'' if whole else 's'} {text} later than reported ({evidence}); the effect torque_lag of a "
-            "model (--model) estimates this"
-        )
-        return
-    remedy = remedies.delay(arm, group.kind, group.columns, seconds)
-    if group.kind == "omega" and seconds < 0.0:
-        remedy = remedies.early_gyro(arm, -seconds)
+    alone = len(group.columns) == 1 and (group.kind != "tau" or arm.n > 1)
+    signal = "angles" if group.both else case.name(group.kind, group.columns[0]) if alone else GROUPS[group.kind]
+    remedy = remedies.delay(arm, group.kind, group.columns, seconds, both=group.both)
     case.find(signal, f"{'late' if seconds > 0.0 else 'early'} by {text}", evidence, remedy)
 
 
 def judge_law(case: Case, balance: Balance, skewed: dict[int, float]) -> dict[TorqueLaw, float]:
     """rms residual of the balance under each torque law, J. Notes where they are too much alike."""
-    laws = balance.laws(unskewed(case.arm, skewed))
+    laws = balance.laws(*unskewed(case.arm, balance.cycles, skewed))
     first, second, _ = sorted(laws, key=lambda law: laws[law])
     if skewed:
         case.notes.append("torque_law: can be decided only after the skew of the encoders is corrected")

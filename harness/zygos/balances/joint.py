@@ -257,15 +257,14 @@ def _integrals(arm: Arm, g: Floats, segment: NDArray[np.int64]) -> Floats:
 
 
 def _impulse(arm: Arm, before: Floats, after: Floats, segment: NDArray[np.int64]) -> Floats:
-    """(m, N) impulse of the motors of rigid joints, after the gear, raised by what a torque step adds to the rate that
-    is read (as in the balance of a motor's impulse)."""
+    """(m, N) impulse of the motors of rigid joints, after the gear, with what its end needs (`Arm.impulse_s`)."""
     rigid = np.array([not joint.flexible for joint in arm.joints])
     total = np.zeros_like(after)
     for number in np.unique(segment):
         of = np.flatnonzero(segment == number)
         total[of[1:]] = np.cumsum(after[of[:-1]], axis=0)
     jump = np.where(np.isfinite(before), after - before, 0.0)
-    return np.asarray(rigid * arm.gear_ratios * (arm.period_s * total + arm.held_s * jump), dtype=np.float64)
+    return np.asarray(rigid * arm.gear_ratios * (arm.period_s * total + arm.impulse_s * jump), dtype=np.float64)
 
 
 def _effect(

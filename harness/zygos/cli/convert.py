@@ -13,8 +13,8 @@ from rich.progress import Progress
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli.options import Json, cuts
-from zygos.cli.shared import not_whole, warn
+from zygos.cli.options import Json, cuts, of_arm, of_map, of_runs
+from zygos.cli.shared import not_whole, read_run, warn
 from zygos.errors import Undecided, ZygosError
 from zygos.files.inputs import local
 from zygos.files.output import check_outputs, counted, is_dash, number, say, table, write_json
@@ -43,30 +43,34 @@ from zygos.telemetry.grid import (
     noisier,
 )
 from zygos.telemetry.map import Dictionary, Input, Map, Recording, load_map, read_can, read_table
+from zygos.telemetry.of_run import run_map, run_recording, with_breaks
 from zygos.telemetry.ros import check_mcap, is_mcap, read_mcap
 
 
 def convert_run(
-    source: Path, dbc: Sequence[Path], map_file: Path, arm_file: Path | None, out: Path, json: str | None
+    source: Path, dbc: Sequence[Path], map_file: Path | None, arm_file: Path | None, out: Path, json: str | None
 ) -> None:
     """Convert foreign telemetry; see `zygos convert --help`."""
     kind: Input = "mcap" if is_mcap(source) else "table" if is_table(source) else "log"
-    _check_names(source, dbc, out, kind)
-    chosen = arm_file or map_file.parent / "arm.toml"
+    _check_names(source, dbc, out, kind, mapped=map_file is not None)
+    chosen = arm_file or (map_file or source).parent / "arm.toml"
     if not local(chosen).is_file():
-        raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml next to the map")
+        near = "the recording" if map_file is None else "the map"
+        raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml next to {near}")
     beside = out.parent / "arm.toml"
-    check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
+    check_outputs([out, json], [source, *dbc, *([map_file] if map_file else []), chosen, beside])
     arm = load_arm(chosen)
     # raises an error for an arm that the library refuses, before anything is read; on the ground any window will do
     Flight(receivable(arm) if arm.grounded else arm)
-    mapping = load_map(map_file, arm, kind)
+    run = None if map_file else read_run(source, arm)
     with progress() as bar:
-        recording = _read(source, kind, dbc, mapping, bar)
+        mapping = run_map(run) if run else load_map(map_file or source, arm, kind)
+        recording = run_recording(run, mapping) if run else _read(source, kind, dbc, mapping, bar)
         samples = {source: len(one.value) for source, one in recording.sources.items()}
         mended = mended_recording(recording, mapping, arm)
         recording = mended.recording
         found, cycles, lost = cycles_of(recording, mapping, arm)
+        cycles = with_breaks(cycles, run) if run else cycles
         noise = noise_of(found, mapping, arm)
         averaged = averages_torques(found, arm)
         if all(one == Noise() for one in noise) and not averaged:
@@ -81,7 +85,6 @@ def convert_run(
         frames = None if is_table(out) else encode(described, with_time(cycles))
         write_run(out, cycles, frames, arm.period_s, text, chosen)
         refused = refused_share(described, cycles, frames)
-    warn((*recording.remarks, *recording.missing))
     rows = signal_rows(samples, mended, found, cycles, described, noise)
     cutoff = arm.smoother.cutoff_hz
     fitting = fitting_cutoff_hz(cycles, described) if cutoff is None else None
@@ -89,7 +92,7 @@ def convert_run(
     warnings += warnings_of(arm, cycles, described, recording, found, out, refused)
     content: dict[str, Any] = {
         "input": str(source),
-        "map": str(map_file),
+        "map": str(map_file) if map_file else None,
         "run": str(out),
         "arm": str(beside),
         "door": "cycle" if is_table(out) else "frames",
@@ -137,19 +140,22 @@ def _read(source: Path, kind: Input, dbc: Sequence[Path], mapping: Map, bar: Pro
     else:
         recording = read_can(source, Dictionary.load(dbc), mapping, reading)
     bar.update(task, description="converting")
+    warn((*recording.remarks, *recording.missing))
     return recording
 
 
-def _check_names(source: Path, dbc: Sequence[Path], out: Path, kind: Input) -> None:
+def _check_names(source: Path, dbc: Sequence[Path], out: Path, kind: Input, *, mapped: bool) -> None:
     if kind != "log":
         check = check_mcap if kind == "mcap" else check_table
         check(source)
         if dbc:
             called = "an MCAP" if kind == "mcap" else "a table"
             raise ZygosError(f"{source}: {called} needs no --dbc; remedy: leave it out")
+        if kind == "mcap" and not mapped:
+            raise ZygosError(f"{source}: an MCAP needs a map; remedy: give it with --map (docs/telemetry.md)")
     else:
         bus.check_log(source)
-        if not dbc:
+        if not dbc and mapped:
             raise ZygosError(f"{source}: a CAN log needs the DBC of its bus; remedy: give it with --dbc")
     if is_dash(out):
         raise ZygosError("- cannot be the run, which needs its arm file next to it; remedy: give -o a file name")
@@ -190,6 +196,7 @@ def _print(content: dict[str, Any]) -> None:
     )
     for line in content["warnings"]:
         say(f"check: {line}")
+    say(f"next: zygos check-arm {content['arm']} {content['run']} · signs, places, scales and delays of the signals")
 
 
 def _judge(bandwidth: dict[str, Any], faster: str, mapping: Map, out: Path, arm: Arm) -> None:
@@ -239,20 +246,33 @@ def command(
         typer.Argument(
             metavar="RECORDING",
             help="A CAN log (.log .blf .asc .trc .mf4), a table (.csv .parquet .npz), or an MCAP (.mcap).",
+            callback=of_runs,
         ),
-    ],
-    map_file: Annotated[
-        Path, typer.Option("--map", metavar="MAP.toml", help="Assigns signals to readings of the arm, with units.")
     ],
     out: Annotated[
         Path, typer.Option("-o", "--out", metavar="RUN", help="The run to write: a CAN log or a table of cycles.")
     ],
+    map_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="MAP.toml",
+            help="Assigns signals to readings of the arm, with units. Not needed for a run of zygos.",
+            callback=of_map,
+        ),
+    ] = None,
     dbc: Annotated[
         list[Path] | None,
         typer.Option("--dbc", metavar="MY.dbc", help="The DBC of a CAN log; may be given several times."),
     ] = None,
     arm: Annotated[
-        Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the map.")
+        Path | None,
+        typer.Option(
+            "--arm",
+            metavar="ARM.toml",
+            help="The arm file. Default: arm.toml next to the map or the run.",
+            callback=of_arm,
+        ),
     ] = None,
     json: Json = None,
 ) -> None:
@@ -263,6 +283,9 @@ def command(
     counter in the telemetry gives one record per cycle. Without one, signals are interpolated on the grid of the arm's
     period, or averaged if they are recorded at 2.5 times its rate or more, and the arm.toml next to RUN declares the
     noise that they then have. The table shows the range of every signal: check whether it is plausible.
+
+    Without --map the recording is a run already: angles that start again after a turn are unwrapped, and impossible
+    samples are left out.
 
     An earlier RUN and its arm.toml are replaced.
 

@@ -41,6 +41,10 @@ def import_urdf(
         if file.exists():
             raise ZygosError(f"{file}: exists already; remedy: remove it, or name another place")
     chain, inertials = read_chain(urdf, base, tip, weighed=model_file is not None)
+    notes = list(chain.notes)
+    if model_file and not inertials:
+        notes.append("no link has an <inertial>, so that only the arm file is written, which needs none")
+        model_file = None
     answers = Answers(
         answers_file, [hinge.name for hinge in chain.hinges], driven=template is not None or model_file is not None
     )
@@ -63,7 +67,7 @@ def import_urdf(
         for file in files:
             file.unlink(missing_ok=True)
         raise
-    for line in chain.notes:
+    for line in notes:
         note(f"note: {line}")
     if json != "-":
         weight = ""
@@ -78,7 +82,7 @@ def import_urdf(
             "model": str(model_file) if model_file else None,
             "joints": [hinge.name for hinge in chain.hinges],
             "bodies": links_as_json(chain, model) if model else [],
-            "notes": list(chain.notes),
+            "notes": notes,
         }
         write_json(json, content)
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar, cast
 import typer
 
 from zygos.errors import ZygosError
-from zygos.files.inputs import LOG_SUFFIXES
+from zygos.files.inputs import LOG_SUFFIXES, local, toml_kind
 from zygos.files.tables import TABLE_SUFFIXES
 from zygos.runs.span import reading
 
@@ -25,39 +25,57 @@ Details = Annotated[bool, typer.Option("--details", help="Print all tables, not 
 
 def _usage(context: typer.Context) -> str:
     """The command with what it takes, in order."""
-    names = [str(one.metavar) for one in context.command.params if one.param_type_name == "argument"]
+    params = context.command.params
+    names = [str(one.metavar) for one in params if one.param_type_name == "argument"]
+    names += ["--map MAP.toml"] if any("--map" in one.opts for one in params) else []
     names += [] if "ARM.toml" in names else ["--arm ARM.toml"]
     return f"`zygos {' '.join([str(context.info_name), *names])}`"
 
 
-def _arm(context: typer.Context, path: Path | None) -> Path | None:
-    """Refuse a run in the place of the arm file."""
-    if path is not None and path.name.lower().removesuffix(".gz").endswith((*LOG_SUFFIXES, *TABLE_SUFFIXES)):
+def _instead(context: typer.Context, path: Path | None, wanted: str) -> Path | None:
+    """Refuse a recording or a folder in the place of another file."""
+    if path is not None and local(path).is_dir():
+        raise ZygosError(f"{path}: is a folder; remedy: give {wanted} in it")
+    suffixes = (*LOG_SUFFIXES, *TABLE_SUFFIXES, ".mcap")
+    if path is not None and path.name.lower().removesuffix(".gz").endswith(suffixes):
         raise ZygosError(
-            f"{path} is a run, in the place of the arm file: the two are swapped; remedy: {_usage(context)}"
+            f"{path} is a recording, in the place of {wanted}: are the two swapped? remedy: {_usage(context)}"
         )
     return path
 
 
-def _runs(context: typer.Context, runs: Any) -> Any:
-    """Refuse an arm file in the place of a run."""
+def of_arm(context: typer.Context, path: Path | None) -> Path | None:
+    """Refuse a recording or a folder in the place of the arm file."""
+    return _instead(context, path, "the arm file")
+
+
+def of_map(context: typer.Context, path: Path | None) -> Path | None:
+    """Refuse a recording or a folder in the place of the map."""
+    return _instead(context, path, "the map")
+
+
+def of_runs(context: typer.Context, runs: Any) -> Any:
+    """Refuse a TOML file in the place of a recording."""
     for path in runs if isinstance(runs, list) else [runs]:
         if path.suffix.lower() == ".toml":
-            raise ZygosError(f"{path} is an arm file or a model, in the place of a run; remedy: {_usage(context)}")
+            found = toml_kind(path)
+            raise ZygosError(
+                f"{path} is {found}, in the place of a recording: are the two swapped? remedy: {_usage(context)}"
+            )
     return runs
 
 
 ArmFile = Annotated[
     Path | None,
-    typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the run.", callback=_arm),
+    typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the run.", callback=of_arm),
 ]
-ArmArgument = Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.", callback=_arm)]
+ArmArgument = Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.", callback=of_arm)]
 Run = Annotated[
     Path,
     typer.Argument(
         metavar="RUN",
         help="A CAN log (.log .blf .asc .trc .mf4), or a table of cycles (.npz .csv .parquet).",
-        callback=_runs,
+        callback=of_runs,
     ),
 ]
 Interface = Annotated[
@@ -105,6 +123,6 @@ Runs = Annotated[
     typer.Argument(
         metavar="RUN...",
         help="CAN logs (.log .blf .asc .trc .mf4), or tables of cycles (.npz .csv .parquet).",
-        callback=_runs,
+        callback=of_runs,
     ),
 ]

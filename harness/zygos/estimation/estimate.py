@@ -15,7 +15,7 @@ from zygos.errors import Undecided
 from zygos.estimation.remedies import measured, remedy
 from zygos.estimation.sections import learned, report_estimate
 from zygos.estimation.watch import Watch
-from zygos.estimation.words import about_change, about_left_out, about_noise
+from zygos.estimation.words import about_change, about_left_out, about_noise, shows_change
 from zygos.model.model import Model, Quantity
 from zygos.native.flight import Drift, Estimate, Flight
 
@@ -84,8 +84,9 @@ class Estimation:
         """What to do about an estimate that is not valid; empty where it is."""
         if self.validity == "valid":
             return ""
-        changed = "read the warning: the arm changed" if self.drift and self.drift.changed else ""
-        return changed or remedy(self.result, self.watch.flight, self.watch.known)
+        if self.drift and shows_change(self.result, self.drift):
+            return "read the warning: the arm changed"
+        return remedy(self.result, self.watch.flight, self.watch.known)
 
     @property
     def measured(self) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.estimation.remedies import NO_FRAMES
+from zygos.effects import GAIN
+from zygos.estimation.remedies import NO_FRAMES, UNCLOSED
 from zygos.estimation.watch import Watch
 from zygos.files.output import (
     counted,
@@ -63,6 +64,13 @@ def about_left_out(result: Estimate, watch: Watch) -> str:
     return f"arcs left out because they contradict the others: {'; '.join(found)}"
 
 
+def shows_change(result: Estimate, drift: Drift) -> bool:
+    """Whether a contradiction is one of the arm: the balance of all data closes, and more than gains of torque sensors
+    contradicts."""
+    gains = all(name.startswith(GAIN) for name in drift.changed)
+    return bool(drift.changed) and result.reason != UNCLOSED and not gains
+
+
 def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
     """A message that the arm changed, or another reason why an arc contradicts those before it, with the remedy."""
     values = "are those before the change" if result.consecutive else "are a mixture of before and after"
@@ -72,6 +80,13 @@ def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
         if name in drift.contradicting
     )
     at = f"after {drift.until * arm.period_s:.0f} s"
+    if drift.changed and not shows_change(result, drift):
+        return (
+            f"the data {at} contradict the data before, in standard deviations: {names}; a change of the arm is the "
+            "cause, or an error of the readings that different motions show differently, as a delay or a scale; "
+            "remedy: `zygos check-arm`, and where it confirms the run, split the log there, or let old arcs fade "
+            "([arc] memory_min)"
+        )
     if drift.changed:
         return (
             f"the arm changed {at}, in standard deviations: {names}; the values {values}; remedy: split "
@@ -80,7 +95,7 @@ def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
     return (
         f"the data {at} contradict the data before, in standard deviations: {names}; but the balance does not "
         f"close on both sides (residuals add up {drift.cluster:.0f} times in a block; noise would once), so the cause "
-        "is an effect without a column, for instance friction, in a different motion, or a change of the arm; remedy: "
-        "name friction with --model, and estimate both parts of the log separately: if each balance closes, the arm "
-        "changed"
+        "is a delay or a scale, an effect without a column, for instance friction, in a different motion, or a change "
+        "of the arm; remedy: `zygos check-arm`, then name friction with --model, and estimate both parts of the log "
+        "separately: if each balance closes, the arm is another one there"
     )

@@ -6,6 +6,7 @@ import codecs
 import re
 import shutil
 import sys
+import tomllib
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -48,6 +49,14 @@ _TEXTS = (
     (".csv", re.compile(r"[^\n\x00-\x08\x0e-\x1f]*[,;\t][^\n\x00-\x08\x0e-\x1f]*\n")),
 )
 """How the other texts begin, and the suffix of their files."""
+TOML_KINDS = {
+    "time": "a map",
+    "manoeuvre": "a scenario",
+    "body": "a model",
+    "parameters": "a model",
+    "period_s": "an arm file",
+}
+"""What a TOML file is that has this key at its top."""
 _HEAD = 4096
 """Number of bytes that are examined to recognise the kind."""
 _PART = 1 << 20
@@ -228,3 +237,12 @@ def check_file(path: Path, remedy: str) -> None:
 def suffix(path: Path) -> str:
     """Suffix of an input in small letters, as `kind` says it."""
     return kind(path).suffix
+
+
+def toml_kind(path: Path) -> str:
+    """What a TOML file is, in words."""
+    try:
+        keys = tomllib.loads(local(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        keys = {}
+    return next((known for sign, known in TOML_KINDS.items() if sign in keys), "a TOML file")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from zygos.errors import ZygosError
-from zygos.files.inputs import local
+from zygos.files.inputs import TOML_KINDS, local
 
 Word = TypeVar("Word", bound=str)
 
@@ -52,12 +52,17 @@ class Table:
         self.where = where
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a TOML file. Errors: ZygosError if it is missing, unreadable or not TOML."""
+    def load(cls, path: str | Path, kind: str = "") -> Self:
+        """Read a TOML file. kind: one of `TOML_KINDS`, which it must be.
+
+        Errors: ZygosError if it is missing, a folder, unreadable, not TOML, or of another kind.
+        """
         file = Path(path)
         try:
             with local(file).open("rb") as stream:
-                return cls(tomllib.load(stream), file)
+                data = tomllib.load(stream)
+        except IsADirectoryError:
+            raise ZygosError(f"{file}: is a folder; remedy: give {kind or 'a file'} in it") from None
         except FileNotFoundError:
             raise ZygosError(f"{file}: no such file; remedy: check the path") from None
         except OSError as error:
@@ -68,6 +73,10 @@ class Table:
             raise ZygosError(f"{file}: is not UTF-8 text; remedy: save the file as UTF-8") from None
         except (ValueError, RecursionError) as error:  # TOMLDecodeError, integers too long, nesting too deep
             raise ZygosError(f"{file}: is not valid TOML ({error}); remedy: correct that line") from None
+        found = next((known for sign, known in TOML_KINDS.items() if sign in data), kind)
+        if kind and found != kind:
+            raise ZygosError(f"{file}: is {found}, not {kind}; remedy: give {kind} there")
+        return cls(data, file)
 
     def error(self, key: str, wrong: str, remedy: str) -> ZygosError:
         """The error for one key of this table."""

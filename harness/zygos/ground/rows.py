@@ -110,10 +110,8 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
         if effect.kind.on_ground:
             z.append(_sensed(arm, motion, rows, state, effect, predicted)[..., None])
         else:
-            own = rows.z[..., p + place]
-            if arm.torque_averaged:
-                own = own + _within_periods(arm, motion, rows, state, effect)
-            z.append(own[..., None])
+            of_means = _of_means(arm, motion, rows, state, effect) if arm.torque_averaged else None
+            z.append((rows.z[..., p + place] if of_means is None else of_means)[..., None])
             place += 1
     steps = rows.end[0] - rows.begin[0] if rows.count else 0
     return RunRows(
@@ -148,23 +146,27 @@ def _share(rows: JointRows, of: NDArray[np.bool_]) -> Floats:
     return np.asarray((total[rows.end] - total[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None])
 
 
-def _within_periods(arm: Arm, motion: Motion, rows: JointRows, state: State, effect: Effect) -> Floats:
-    """(m, N) what the column of friction misses of the periods about the instants, over which torques are means: a
-    reversal is somewhere in its period, and the rate is linear between the instants."""
-    column, joint = np.zeros_like(rows.w), effect.index(arm)
-    law = effect.kind.torque
+def _of_means(arm: Arm, motion: Motion, rows: JointRows, state: State, effect: Effect) -> Floats | None:
+    """(m, N) the column of friction whose torque is the mean over the period about each instant: a reversal is
+    somewhere in its period, and the rate is linear between the instants. None for other effects."""
+    joint, law = effect.index(arm), effect.kind.torque
     if law is None or effect.kind.place not in ("motor", "link"):
-        return column
+        return None
     rate, segment = state.qd[:, joint], motion.smoothed.segment
-    last, after = np.roll(rate, 1), np.roll(rate, -1)
-    last = np.where(np.roll(segment, 1) == segment, last, rate)
-    after = np.where(np.roll(segment, -1) == segment, after, rate)
+
+    def neighbours(x: Floats) -> tuple[Floats, Floats]:
+        before = np.where(np.roll(segment, 1) == segment, np.roll(x, 1), x)
+        return before, np.where(np.roll(segment, -1) == segment, np.roll(x, -1), x)
+
+    last, after = neighbours(rate)
     share = (np.arange(_WITHIN) + 0.5) / _WITHIN * 0.5  # of the way to the neighbours' instants
     mean = np.zeros_like(rate)
     for part in share.tolist():
         mean += law(rate + part * (last - rate)) + law(rate + part * (after - rate))
-    missing = mean / (2 * _WITHIN) - law(rate)
-    total = np.concatenate([[0.0], np.cumsum(missing)]) * arm.period_s
+    mean /= 2 * _WITHIN
+    before, behind = neighbours(mean)
+    total = np.cumsum(0.5 * (before + mean)) * arm.period_s + arm.impulse_s * 0.5 * (behind - before)
+    column = np.zeros_like(rows.w)
     ratio = float(arm.gear_ratios[joint]) if effect.kind.place == "motor" else 1.0
     column[:, joint] = ratio * (total[rows.end] - total[rows.begin])
     return column

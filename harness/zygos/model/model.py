@@ -355,7 +355,7 @@ def _grouped(arm: Arm, candidates: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def load_model(path: str | Path) -> Model:
     """Read `model.toml`. Errors: ZygosError naming file, key and remedy, also for a physically impossible body."""
-    return read_model(Table.load(path))
+    return read_model(Table.load(path, "a model"))
 
 
 def read_model(top: Table) -> Model:

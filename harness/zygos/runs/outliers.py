@@ -17,6 +17,8 @@ from zygos import limits
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
 
+GAP = 2.5
+"""Usual intervals above which a step is that of a gap, whose motion is not small."""
 _CODE_COUNT, _CODE_SHARE = 3, 0.6
 """Number of equal values, and their share, from which on they are a code rather than readings."""
 
@@ -98,6 +100,20 @@ def steps_off(x: Floats, intervals: Floats, floor: float) -> Floats:
     varies = _Around(x, limits.OUTLIER_WINDOW.value, 1).varies(likely - 1, likely + 2)
     sure = likely[np.abs(off[likely]) > limits.OUTLIER.value * varies]
     out[sure] = off[sure]
+    return out
+
+
+def unwrapped(x: Floats, modulo: float, intervals: Floats) -> Floats:
+    """(n,) an angle (n,) that starts again after a modulo, without that: each step is the shortest, in a gap the one
+    nearest to the motion on both sides. intervals: as in `steps_off`."""
+    steps = np.diff(x)
+    short = steps - modulo * np.round(steps / modulo)
+    for k in np.flatnonzero(intervals > GAP):
+        sides = [part for part in (short[max(k - 5, 0) : k], short[k + 1 : k + 6]) if len(part)]
+        moved = intervals[k] * float(np.mean([np.median(part) for part in sides])) if sides else 0.0
+        short[k] = steps[k] - modulo * np.round((steps[k] - moved) / modulo)
+    turns = np.concatenate([[0.0], np.cumsum(np.round((short - steps) / modulo))])
+    out: Floats = x + modulo * turns
     return out
 
 

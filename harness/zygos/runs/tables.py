@@ -53,7 +53,7 @@ def read_cycles(path: Path, arm: Arm, damage: list[str] | None = None) -> Cycles
         if name not in columns:
             raise ZygosError(
                 f"{path}: the cycle table of arm {arm.name} has no column {name}; remedy: it needs {' '.join(wanted)} "
-                "(docs/telemetry.md); convert other tables with `zygos convert`"
+                "(docs/telemetry.md); convert other tables with `zygos convert --map`"
             )
     for name in columns:
         if name not in wanted:

@@ -148,7 +148,7 @@ class Scenario:
 
 def load_scenario(path: str | Path) -> Scenario:
     """Read `scenario.toml`; paths in it are relative to the file. Errors: ZygosError naming file, key and remedy."""
-    return read_scenario(Table.load(path))
+    return read_scenario(Table.load(path, "a scenario"))
 
 
 def save_scenario(scenario: Scenario, path: str | Path) -> None:

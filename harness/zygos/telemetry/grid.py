@@ -89,10 +89,16 @@ class Track:
         return out
 
     @property
+    def gaps(self) -> NDArray[np.bool_]:
+        """(n-1,) whether each interval is a gap: a hole, or a bridged one."""
+        intervals = np.diff(self.t)
+        out: NDArray[np.bool_] = intervals > GAP * (float(np.median(intervals)) if len(intervals) else 0.0)
+        return out
+
+    @property
     def gaps_s(self) -> Floats:
-        """Lengths of the gaps, holes and bridged ones, s."""
-        gaps = np.diff(self.t)
-        return gaps[gaps > GAP * np.median(gaps)] if len(gaps) else gaps
+        """Lengths of the gaps, s."""
+        return np.diff(self.t)[self.gaps]
 
     @property
     def runs(self) -> list[slice]:
@@ -261,7 +267,8 @@ def times_of(recording: Recording, mapping: Map) -> dict[str, Floats]:
     if recording.modulo is not None and clock.kind != "sync":
         # a small step backwards looks like nearly a full turn forwards
         raw = np.diff(recording.clock)
-        _forwards(clock.source, clock.where, (raw < 0) & (np.mod(raw, recording.modulo) > 0.5 * recording.modulo))
+        back = (raw < 0) & (np.mod(raw, recording.modulo) > 0.5 * recording.modulo)
+        _forwards(clock.source, clock.where, recording.clock, back)
     return {source: (counts * clock.unit_s)[samples.group] for source, samples in sources.items()}
 
 
@@ -277,7 +284,7 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
         t = times[channel.source] - channel.delay_s
         x = channel.gain * samples.value + channel.offset
         t, x = t[np.isfinite(x)], x[np.isfinite(x)]
-        _forwards(channel.source, channel.where, np.diff(t) < 0)
+        _forwards(channel.source, channel.where, t, np.diff(t) < 0)
         last = np.append(np.diff(t) > 0, len(t) > 0)[: len(t)]
         repeated = int(len(t) - last.sum())
         if repeated > MANY_REPEATED * len(t):
@@ -294,15 +301,17 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
     return out
 
 
-def _forwards(source: str, where: str, falls: NDArray[np.bool_]) -> None:
-    """Refuse time stamps that decrease."""
+def _forwards(source: str, where: str, t: Floats, falls: NDArray[np.bool_]) -> None:
+    """Refuse time stamps (n,) that decrease. falls: (n-1,) where they do."""
     at = np.flatnonzero(falls)
     if len(at):
         few = len(at) <= MANY_REPEATED * len(falls)  # the stamps are in order but for some that are wrong
+        wrong = "remove the samples there whose times are wrong" if few else "sort the recording"
+        if few and t[: at[0] + 1].min() > t[at[0] + 1 :].max():  # before a clock was set
+            wrong = f"remove the first {counted(int(at[0]) + 1, 'sample')}, whose times are later than all others"
         raise ZygosError(
             f"{where}: the time of {source} goes backwards at sample {at[0] + 2} ({counted(len(at), 'time')} in all); "
-            f"remedy: {'remove the samples there whose times are wrong' if few else 'sort the recording'}, state the "
-            "clock's modulo, or cut the recording there"
+            f"remedy: {wrong}, state the clock's modulo, or cut the recording there"
         )
 
 
@@ -363,23 +372,25 @@ def averaged(track: Track, at: Floats, period_s: float) -> Averages:
     periods, weighted by (1 - (t / 2 periods)^2)^2.
 
     Motion up to a tenth of the grid's rate keeps its size to 0.3 %; what is near a multiple of that rate, and would
-    appear as slow motion, is reduced to less than 4 %. The stamps may be uneven.
+    appear as slow motion, is reduced to less than 4 %. The stamps may be uneven. About a bridged gap, the samples come
+    from as much longer a time.
     """
     out = Averages(np.full(len(at), np.nan), np.full(len(at), np.nan))
-    reach = _REACH * period_s
+    least = _REACH * period_s
+    far = least + 0.5 * _silent(track, at - least, at + least)
     for run in track.runs:
         t, x = track.t[run], track.x[run]
-        inside = np.flatnonzero((at >= t[0] + reach) & (at <= t[-1] - reach))
+        inside = np.flatnonzero((at >= t[0] + least) & (at <= t[-1] - least))
         for begin in range(0, len(inside), _CHUNK):
             chosen = inside[begin : begin + _CHUNK]
-            low = np.searchsorted(t, at[chosen] - reach, side="left")
-            high = np.searchsorted(t, at[chosen] + reach, side="right")
+            low = np.searchsorted(t, at[chosen] - far[chosen], side="left")
+            high = np.searchsorted(t, at[chosen] + far[chosen], side="right")
             chosen, low, high = (values[high - low >= _FEWEST] for values in (chosen, low, high))
             if len(chosen) == 0:
                 continue
             index = low[:, None] + np.arange(int((high - low).max()))
             of = np.minimum(index, len(t) - 1)
-            s = (t[of] - at[chosen][:, None]) / reach
+            s = (t[of] - at[chosen][:, None]) / far[chosen][:, None]
             weight = np.where(index < high[:, None], np.maximum(1.0 - s**2, 0.0) ** 2, 0.0)
             powers = s[..., None] ** np.arange(4)
             normal = np.einsum("ni,nij,nik->njk", weight, powers, powers)
@@ -389,6 +400,16 @@ def averaged(track: Track, at: Floats, period_s: float) -> Averages:
             freedom = weight.sum(axis=1) - np.trace(taken, axis1=1, axis2=2)
             out.value[chosen] = fit[:, 0]
             out.variance[chosen] = np.sum(weight * rest**2, axis=1) / freedom
+    return out
+
+
+def _silent(track: Track, begin: Floats, end: Floats) -> Floats:
+    """(m,) how much of each span belongs to gaps, s."""
+    edges = np.column_stack([track.t[:-1][track.gaps], track.t[1:][track.gaps]]).ravel()
+    if not len(edges):
+        return np.zeros(len(begin))
+    before = np.repeat(np.concatenate([[0.0], np.cumsum(track.gaps_s)]), 2)[1:-1]
+    out: Floats = np.interp(end, edges, before) - np.interp(begin, edges, before)
     return out
 
 
@@ -493,18 +514,25 @@ def bridged(track: Track, at: Floats, arm: Arm, mapping: Map) -> Track:
 
 def _bridging_errors(track: Track, at: Floats, arm: Arm, mapping: Map, length: int, shift: int) -> Floats:
     """(k,) by how much values inside of gaps change that are made in every fourth stretch of as many intervals, but for
-    those near a hole; infinite where they become unknown."""
+    those near a hole or another gap; infinite where they become unknown."""
     index = (np.arange(len(track.t)) - shift * length) % (4 * length)
     kept = (index == 0) | (index >= length)
     thinned = replace(track, t=track.t[kept], x=track.x[kept])
     before = np.searchsorted(track.t, at, side="right") - 1
-    begin, end = thinned.t[:-1][thinned.holes], thinned.t[1:][thinned.holes]
     reach = _REACH * arm.period_s
-    near = np.searchsorted(begin, at + reach) > np.searchsorted(end, at - reach, side="right")
-    inside = at[(index[before] < length) & (before < len(track.t) - 1) & ~near]
+    near = _near(thinned, thinned.holes, at, reach) | _near(track, track.gaps, at, reach)
+    near |= (at - reach < thinned.t[0]) | (at + reach > thinned.t[-1])
+    inside = at[(index[before] < length) & ~near]
     whole = resampled(track, inside, arm, mapping)
     errors = np.abs(resampled(thinned, inside, arm, mapping) - whole)[np.isfinite(whole)]
     return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def _near(track: Track, chosen: NDArray[np.bool_], at: Floats, reach: float) -> NDArray[np.bool_]:
+    """(m,) whether one of these intervals (n-1,) of a track is within reach of the times (m,)."""
+    begin, end = track.t[:-1][chosen], track.t[1:][chosen]
+    found: NDArray[np.bool_] = np.searchsorted(begin, at + reach) > np.searchsorted(end, at - reach, side="right")
+    return found
 
 
 # -- the error of the grid ------------------------------------------------------------------------------------------

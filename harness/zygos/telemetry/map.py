@@ -205,7 +205,7 @@ def load_map(path: str | Path, arm: Arm, kind: Input) -> Map:
 
     Errors: ZygosError naming file, key and remedy for anything unknown, missing or contradictory.
     """
-    return read_map(Table.load(path), arm, kind)
+    return read_map(Table.load(path, "a map"), arm, kind)
 
 
 def read_map(top: Table, arm: Arm, kind: Input) -> Map:
@@ -644,6 +644,12 @@ class Dictionary:
                     message.refresh(strict=True)
                 except cantools.Error as error:
                     doubtful[name] = f"{file.name}: {_sentence(error)}"
+        first: dict[tuple[int, bool], str] = {}
+        for name, message in messages.items():
+            before = first.setdefault((message.frame_id, message.is_extended_frame), name)
+            if before != name:
+                both = f"messages {before} and {name} have the same identifier 0x{message.frame_id:X}"
+                doubtful[before] = doubtful[name] = f"{origin[name].name}: {both}"
         return cls(tuple(files), messages, unusable, doubtful)
 
     def find(self, source: str, where: str) -> tuple[Message, Any]:
@@ -672,6 +678,7 @@ class Dictionary:
             if name in used
         ]
         others = [fault for name, fault in (self.unusable | self.doubtful).items() if name not in used]
+        others = list(dict.fromkeys(others))
         if others:
             more = f", and {counted(len(others) - 1, 'more such fault')}" if len(others) > 1 else ""
             said.append(f"{others[0]}{more}; the map does not use that message")

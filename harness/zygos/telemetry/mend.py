@@ -15,14 +15,11 @@ from numpy.typing import NDArray
 from zygos import limits
 from zygos.errors import ZygosError
 from zygos.files.output import counted
-from zygos.runs.outliers import code_of, outliers, steps_off, two_courses
+from zygos.runs.outliers import GAP, code_of, outliers, steps_off, two_courses, unwrapped
 from zygos.telemetry.map import Channel, Map, Recording, SourceSamples
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
-
-_GAP = 2.5
-"""Usual intervals above which a step is that of a gap, whose motion is not small."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +63,10 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
 
     for channel in mapping.channels:
         leave_out(channel, signal_of(channel).missing())
+    for channel in mapping.channels:
+        signal = signal_of(channel)
+        leave_out(channel, signal.silent())
+        warnings += signal.warnings
     for channel in sorted(mapping.channels, key=lambda channel: channel.quantity != "angle"):
         signal = signal_of(channel)
         leave_out(channel, signal.off())
@@ -77,7 +78,24 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
         values, turns[channel.source] = signal.unwrapped()
         warnings += signal.warnings
         out[channel.source] = replace(out[channel.source], value=values)
+        if turns[channel.source] and signal.modulo is not None:
+            warnings += _first_turn(channel, float(values[signal.finite[0]]), signal.modulo)
     return Mended(replace(recording, sources=out), turns, left_out, tuple(warnings))
+
+
+def _first_turn(channel: Channel, first: float, modulo: float) -> list[str]:
+    """A warning where the angle of an arm depends on the turn in which a recording begins: an encoder before the gear,
+    or one that starts again within a turn."""
+    step = abs(modulo * channel.gain)
+    turns = step / (2.0 * math.pi)
+    if abs(turns - round(turns)) < 1e-6 and round(turns):
+        return []
+    return [
+        f"{channel.source}: its turns are counted from the first sample, and the recording does not say which one that "
+        f"is: if the angle did not begin at {channel.gain * first + channel.offset:.4g} rad, it is wrong by a multiple "
+        f"of {step:.4g} rad; remedy: write offset = {modulo * channel.scale:.10g} in the map for each turn that is "
+        "missing"
+    ]
 
 
 def _message(channel: Channel) -> str:
@@ -115,12 +133,34 @@ class _Signal:
             return np.zeros(0, dtype=np.int64)
         return self.finite[np.isclose(self.x, self.channel.missing, rtol=1e-9, atol=0.0)]
 
+    def silent(self) -> Places:
+        """Positions of the samples before an angle begins or after it ends: one and the same value, and then a step
+        that no motion makes."""
+        x = self.x
+        changes = np.flatnonzero(np.diff(x))
+        if self.channel.quantity != "angle" or len(changes) < 2:
+            return np.zeros(0, dtype=np.int64)
+        jumps = steps_off(x, self.intervals, self.floor)
+        jumps[self._turns(jumps) | (self.intervals > GAP)] = 0.0
+        found = np.zeros(0, dtype=np.int64)
+        for name, at, of in (
+            ("first", int(changes[0]), np.arange(changes[0] + 1)),
+            ("last", int(changes[-1]), np.arange(changes[-1] + 1, len(x))),
+        ):
+            if len(of) > limits.OUTLIER_BURST.value and jumps[at] != 0.0:
+                found = np.concatenate([found, self.finite[of]])
+                self.warnings.append(
+                    f"{self.channel.source}: is {x[of[0]]:.6g} in its {name} {counted(len(of), 'sample')}, with a jump "
+                    f"of {abs(x[at + 1] - x[at]):.6g}, as a sensor that does not measure; left out"
+                )
+        return found
+
     def off(self) -> Places:
         """Positions of the samples that lie off. Errors: ZygosError where these are many."""
         x = self.x
         if self.channel.quantity == "angle":
             if self.modulo is not None:
-                x = _unwrap(x, self.modulo, np.ones(max(len(x) - 1, 0)))
+                x = unwrapped(x, self.modulo, np.ones(max(len(x) - 1, 0)))
             found = outliers(x, self.floor, self._periods())
             found = np.union1d(found, self._ends(x, np.delete(np.arange(len(x)), found)))
         else:
@@ -180,8 +220,10 @@ class _Signal:
             return values, 0
         x, modulo = self.x, self.modulo
         jumps = steps_off(x, self.intervals, self.floor)
+        # what moved in a gap is not known: only a whole turn is a jump there
+        jumps[(self.intervals > GAP) & ~(self._turns(jumps) & self._turns(np.diff(x)))] = 0.0
         if modulo is not None:
-            turned = _unwrap(x, modulo, self.intervals)
+            turned = unwrapped(x, modulo, self.intervals)
             left = np.where(jumps != 0.0, steps_off(turned, self.intervals, self.floor), 0.0)
             if not np.any(self._turns(jumps) & (np.abs(left) > limits.TURN_NEAR.value * modulo)):
                 count = int(np.count_nonzero(np.round(np.diff(turned - x) / modulo)))
@@ -233,10 +275,10 @@ class _Signal:
 
     def _check_turns(self, turned: Floats, modulo: float) -> None:
         """Refuse turns that cannot be counted, because the angle moves too far between two samples."""
-        far = np.abs(np.diff(turned)) > limits.TURN_SURE.value * modulo * np.maximum(1.0, self.intervals / _GAP)
-        slopes = np.where(self.intervals > _GAP, 0.0, np.diff(turned))
+        far = np.abs(np.diff(turned)) > limits.TURN_SURE.value * modulo * np.maximum(1.0, self.intervals / GAP)
+        slopes = np.where(self.intervals > GAP, 0.0, np.diff(turned))
         reach = float(np.percentile(np.abs(slopes), 99))
-        far |= (self.intervals > _GAP) & (self.intervals * reach > modulo)
+        far |= (self.intervals > GAP) & (self.intervals * reach > modulo)
         if np.any(far):
             k = int(np.flatnonzero(far)[0])
             raise ZygosError(
@@ -254,20 +296,6 @@ class _Signal:
             if math.isfinite(stamp)
             else f"in row {int(self.samples.group[place]) + self.samples.first_row}"
         )
-
-
-def _unwrap(x: Floats, modulo: float, intervals: Floats) -> Floats:
-    """(n,) an angle that does not start again: each step is the shortest, in a gap the one nearest to the motion on
-    both sides."""
-    steps = np.diff(x)
-    short = steps - modulo * np.round(steps / modulo)
-    for k in np.flatnonzero(intervals > _GAP):
-        sides = [part for part in (short[max(k - 5, 0) : k], short[k + 1 : k + 6]) if len(part)]
-        moved = intervals[k] * float(np.mean([np.median(part) for part in sides])) if sides else 0.0
-        short[k] = steps[k] - modulo * np.round((steps[k] - moved) / modulo)
-    turns = np.concatenate([[0.0], np.cumsum(np.round((short - steps) / modulo))])
-    out: Floats = x + modulo * turns
-    return out
 
 
 def _far(x: Floats, found: Places) -> Places:

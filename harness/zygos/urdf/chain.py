@@ -121,14 +121,16 @@ def read_chain(
     path: str | Path, base: str | None = None, tip: str | None = None, *, weighed: bool = True
 ) -> tuple[Chain, tuple[Inertial, ...]]:
     """Read the chain from link `base` (default: the root) to link `tip` (default: the end of the only chain), and the
-    inertials (N+1) of its segments with everything fixed to them; none if they are not to be weighed.
+    inertials (N+1) of its segments with everything fixed to them; none if they are not to be weighed, or if no link of
+    the chain has one.
 
     Errors: ZygosError for a file that is not a URDF or not a tree, a chain with joints that do not turn or that other
     joints drive, physically impossible links, and bodies without mass.
     """
     tree = _Tree(Path(path))
     chain = tree.chain(base, tip)
-    if not weighed:
+    links = [link for one in chain.segments for link in (one.link, *one.merged)]
+    if not weighed or all(tree.links[link].inertial is None for link in links):
         return chain, ()
     inertials = tuple(tree.weigh(segment, base=index == 0) for index, segment in enumerate(chain.segments))
     return replace(chain, notes=(*chain.notes, *tree.rounded)), inertials
