@@ -159,7 +159,7 @@ typedef struct {
 /// solution needs at the most (B + 1) / 2 + c + 6 pairs, or (B + 1) / 2 + 2 c + 17 if gains of torque sensors are
 /// estimated: never more than (B + 1) / 2 + 57. Without old arcs there are at the most two more solutions, each of
 /// fewer energy blocks and without joint rows, so that they need at the most (B + 1) / 2 + 37: together never more than
-/// 3 (B + 1) / 2 + 131, and 243 with the usual capacities. Their jackknife is left out unless the balance closes with
+/// 3 (B + 1) / 2 + 131, and 246 with the usual capacities. Their jackknife is left out unless the balance closes with
 /// far smaller residuals, so that the dearest solution costs less than one and a half times as much as the dearest
 /// valid one of the same arm (docs/cost.md).
 int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out);
