@@ -7,6 +7,8 @@
 
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
+/* The power method ends when no component changes by more, and at the latest after so many rounds. */
+#define POWER_CHANGE 1e-8
 #define POWER_ROUNDS 40u
 /* Divisor of the mean square of a random walk about its own mean: between 6, and 15 without its trend. */
 #define WALK 10.0
@@ -32,9 +34,10 @@ static uint32_t at(uint32_t i, uint32_t j)
     return i * (i + 1u) / 2u + j;
 }
 
-static double entry(const double *packed, uint32_t i, uint32_t j)
+/* The same of any entry. */
+static uint32_t at_any(uint32_t i, uint32_t j)
 {
-    return (i >= j) ? packed[at(i, j)] : packed[at(j, i)];
+    return (i >= j) ? at(i, j) : at(j, i);
 }
 
 static double magnitude(double x)
@@ -57,79 +60,252 @@ static double infinity(void)
     return (double)__builtin_inff();
 }
 
-/* Cholesky of the scaled matrix with symmetric pivoting, in place in work->factor; rows are reordered by work->pivot.
-   Returns the number of columns that are independent, at the most most. */
-static uint32_t factorise(zygos_solver_t *work, uint32_t p, uint32_t most)
+/* out += factor times n numbers, four at a time. */
+static void increase(double *out, const double *in, double factor, uint32_t n)
 {
-    double *l = work->factor;
-    for (uint32_t i = 0; i < p; i++) {
-        work->pivot[i] = i;
-    }
-    for (uint32_t k = 0; k < most; k++) {
-        uint32_t best = k;
-        double largest = -1.0;
-        for (uint32_t i = k; i < p; i++) {
-            double d = entry(work->matrix, work->pivot[i], work->pivot[i]);
-            for (uint32_t j = 0; j < k; j++) {
-                d -= l[at(i, j)] * l[at(i, j)];
-            }
-            if (d > largest) {
-                largest = d;
-                best = i;
-            }
-        }
-        if (!(largest > ZYGOS_PIVOT_LIMIT)) {
-            return k;
-        }
-        const uint32_t swap = work->pivot[k];
-        work->pivot[k] = work->pivot[best];
-        work->pivot[best] = swap;
-        for (uint32_t j = 0; j < k; j++) {
-            const double t = l[at(k, j)];
-            l[at(k, j)] = l[at(best, j)];
-            l[at(best, j)] = t;
-        }
-        const double diagonal = root(largest);
-        l[at(k, k)] = diagonal;
-        for (uint32_t i = k + 1u; i < p; i++) {
-            double sum = entry(work->matrix, work->pivot[i], work->pivot[k]);
-            for (uint32_t j = 0; j < k; j++) {
-                sum -= l[at(i, j)] * l[at(k, j)];
-            }
-            l[at(i, k)] = sum / diagonal;
+    const double *end = &in[n & ~3u];
+    for (; in < end; in += 4, out += 4) {
+        const double sum[4] = { out[0] + factor * in[0], out[1] + factor * in[1], out[2] + factor * in[2],
+                                out[3] + factor * in[3] };
+        for (uint32_t k = 0; k < 4u; k++) {
+            out[k] = sum[k];
         }
     }
-    return most;
+    for (end += n & 3u; in < end; in++, out++) {
+        *out += factor * *in;
+    }
 }
 
-/* x := L^-T L^-1 x for the leading r columns, in pivot order. */
-static void substitute(const double *l, uint32_t r, double *x)
+/* y := A x of a symmetric matrix of order n. */
+static void multiply(const double *packed, const double *x, uint32_t n, double *y)
 {
-    for (uint32_t i = 0; i < r; i++) {
+    for (uint32_t i = 0; i < n; i++) {
+        const double *row = &packed[at(i, 0)];
+        double sum = row[i] * x[i];
         for (uint32_t j = 0; j < i; j++) {
-            x[i] -= l[at(i, j)] * x[j];
+            sum += row[j] * x[j];
+            y[j] += row[j] * x[i];
         }
-        x[i] /= l[at(i, i)];
-    }
-    for (uint32_t i = r; i-- > 0;) {
-        for (uint32_t j = i + 1u; j < r; j++) {
-            x[i] -= l[at(j, i)] * x[j];
-        }
-        x[i] /= l[at(i, i)];
+        y[i] = sum;
     }
 }
 
 /* Sum over i, j of x_i x_j entry, x_p = -1. */
 static double form(const double *packed, const double *x, uint32_t p)
 {
-    double sum = packed[at(p, p)];
-    for (uint32_t i = 0; i < p; i++) {
-        sum -= 2.0 * x[i] * packed[at(p, i)];
-        for (uint32_t j = 0; j < p; j++) {
-            sum += x[i] * x[j] * entry(packed, i, j);
+    double sum = 0.0;
+    for (uint32_t i = 0; i <= p; i++) {
+        const double *row = &packed[at(i, 0)];
+        const double own = (i < p) ? x[i] : -1.0;
+        double along = 0.0;
+        for (uint32_t j = 0; j < i; j++) {
+            along += row[j] * x[j];
         }
+        sum += own * (2.0 * along + row[i] * own);
     }
     return sum;
+}
+
+/* sum += a b of two numbers side by side. */
+static inline void accumulate(double *sum, const double *a, const double *b)
+{
+    const double both[2] = { sum[0] + a[0] * b[0], sum[1] + a[1] * b[1] };
+    sum[0] = both[0];
+    sum[1] = both[1];
+}
+
+/* x := (x - sum) / divisor of two numbers side by side. */
+static inline void quotient(double *x, const double *sum, const double *divisor)
+{
+    const double both[2] = { (x[0] - sum[0]) / divisor[0], (x[1] - sum[1]) / divisor[1] };
+    x[0] = both[0];
+    x[1] = both[1];
+}
+
+/* x := L^-T L^-1 x of n columns and two right sides. What is before first is 0. */
+static void substitute(const double *l, uint32_t first, uint32_t n, double (*x)[2])
+{
+    for (uint32_t i = first; i < n; i++) {
+        const double *row = &l[at(i, 0)];
+        const double diagonal[2] = { row[i], row[i] };
+        double sum[2] = { 0.0 };
+        for (uint32_t k = first; k < i; k++) {
+            const double both[2] = { row[k], row[k] };
+            accumulate(sum, both, x[k]);
+        }
+        quotient(x[i], sum, diagonal);
+    }
+    for (uint32_t i = n; i-- > 0;) {
+        const double *row = &l[at(i, 0)];
+        const double y[2] = { -x[i][0] / row[i], -x[i][1] / row[i] };
+        for (uint32_t k = 0; k < i; k++) {
+            const double both[2] = { row[k], row[k] };
+            accumulate(x[k], both, y);
+        }
+        x[i][0] = -y[0];
+        x[i][1] = -y[1];
+    }
+}
+
+/* Diagonal of the inverse of the factorised matrix of all rows; 0 for columns that are left out. Returns the 1-norm of
+   the inverse. */
+static double invert(const zygos_solver_t *work, uint32_t p, double *diagonal)
+{
+    double(*x)[2] = work->column;
+    double norm = 0.0;
+    for (uint32_t i = 0; i < p; i += 2u) {
+        memset(x, 0, (p + 1u) * sizeof x[0]);
+        x[i][0] = 1.0;
+        x[i + 1u][1] = 1.0;
+        substitute(work->factor, i, p, x);
+        for (uint32_t side = 0; (side < 2u) && (i + side < p); side++) {
+            double sum = 0.0;
+            for (uint32_t j = 0; j < p; j++) {
+                sum += magnitude(x[j][side]);
+            }
+            norm = (sum > norm) ? sum : norm;
+            diagonal[i + side] = x[i + side][side];
+        }
+    }
+    return norm;
+}
+
+/* Cholesky of the scaled matrix with symmetric pivoting, in work->factor; rows are reordered by work->pivot. Returns
+   the number of columns that are independent. */
+static uint32_t independent(zygos_solver_t *work, uint32_t p)
+{
+    double *l = work->factor;
+    double *left = work->column[0];
+    for (uint32_t i = 0; i < p; i++) {
+        work->pivot[i] = i;
+        left[i] = work->matrix[at(i, i)][0];
+    }
+    for (uint32_t k = 0; k < p; k++) {
+        uint32_t best = k;
+        for (uint32_t i = k + 1u; i < p; i++) {
+            best = (left[i] > left[best]) ? i : best;
+        }
+        if (!(left[best] > ZYGOS_PIVOT_LIMIT)) {
+            return k;
+        }
+        const double diagonal = root(left[best]);
+        const uint32_t swap = work->pivot[k];
+        work->pivot[k] = work->pivot[best];
+        work->pivot[best] = swap;
+        left[best] = left[k];
+        for (uint32_t j = 0; j < k; j++) {
+            const double t = l[at(k, j)];
+            l[at(k, j)] = l[at(best, j)];
+            l[at(best, j)] = t;
+        }
+        l[at(k, k)] = diagonal;
+        for (uint32_t i = k + 1u; i < p; i++) {
+            double *row = &l[at(i, 0)];
+            double sum = work->matrix[at_any(work->pivot[i], work->pivot[k])][0];
+            for (uint32_t j = 0; j < k; j++) {
+                sum -= row[j] * l[at(k, 0) + j];
+            }
+            row[k] = sum / diagonal;
+            left[i] -= row[k] * row[k];
+        }
+    }
+    return p;
+}
+
+/* x := L^-1 x of two factors side by side, the rows from first to before n. What is before first is 0. */
+static void forward(const double (*l)[2], uint32_t first, uint32_t n, double (*x)[2])
+{
+    const double(*a)[2] = &l[at(first, 0)];
+    uint32_t i = first;
+    for (; i + 4u <= n; i += 4u) {
+        const double(*b)[2] = &a[i + 1u];
+        const double(*c)[2] = &b[i + 2u];
+        const double(*d)[2] = &c[i + 3u];
+        double sum[4][2] = { { 0.0 } };
+        for (uint32_t k = first; k < i; k++) {
+            accumulate(sum[0], a[k], x[k]);
+            accumulate(sum[1], b[k], x[k]);
+            accumulate(sum[2], c[k], x[k]);
+            accumulate(sum[3], d[k], x[k]);
+        }
+        double(*y)[2] = &x[i];
+        quotient(y[0], sum[0], a[i]);
+        accumulate(sum[1], b[i], y[0]);
+        quotient(y[1], sum[1], b[i + 1u]);
+        accumulate(sum[2], c[i], y[0]);
+        accumulate(sum[2], c[i + 1u], y[1]);
+        quotient(y[2], sum[2], c[i + 2u]);
+        accumulate(sum[3], d[i], y[0]);
+        accumulate(sum[3], d[i + 1u], y[1]);
+        accumulate(sum[3], d[i + 2u], y[2]);
+        quotient(y[3], sum[3], d[i + 3u]);
+        a = &d[i + 4u];
+    }
+    for (; i < n; i++) {
+        double sum[2] = { 0.0 };
+        for (uint32_t k = first; k < i; k++) {
+            accumulate(sum, a[k], x[k]);
+        }
+        quotient(x[i], sum, a[i]);
+        a = &a[i + 1u];
+    }
+}
+
+/* Cholesky of two systems of scaled equations side by side, in place; their right sides become L^-1 of them. The
+   diagonal is infinite of a column that depends on those before it, or is to be left out, which makes all else of it 0.
+   rank: the numbers of columns that are independent. */
+static void factorise(double (*l)[2], uint32_t p, uint32_t *rank)
+{
+    rank[0] = 0;
+    rank[1] = 0;
+    for (uint32_t i = 0; i <= p; i++) {
+        double(*row)[2] = &l[at(i, 0)];
+        double square[2] = { 0.0 };
+        forward((const double(*)[2])l, 0, i, row);
+        for (uint32_t k = 0; k < i; k++) {
+            accumulate(square, row[k], row[k]);
+        }
+        for (uint32_t side = 0; (side < 2u) && (i < p); side++) {
+            const double left = row[i][side] - square[side];
+            row[i][side] = (left > ZYGOS_PIVOT_LIMIT) ? root(left) : infinity();
+            rank[side] += (left > ZYGOS_PIVOT_LIMIT) ? 1u : 0u;
+        }
+    }
+}
+
+/* Factorises the two systems of scaled equations in work->matrix. Their solutions, unscaled, are in change. */
+static void solve_both(const zygos_solver_t *work, uint32_t p, uint32_t *rank)
+{
+    double(*x)[2] = work->change;
+    factorise(work->matrix, p, rank);
+    memcpy(x, work->matrix[at(p, 0)], p * sizeof x[0]);
+    for (uint32_t i = p; i-- > 0;) {
+        double(*row)[2] = &work->matrix[at(i, 0)];
+        const double y[2] = { -x[i][0] / row[i][0], -x[i][1] / row[i][1] };
+        for (uint32_t k = 0; k < i; k++) {
+            accumulate(x[k], row[k], y);
+        }
+        x[i][0] = -y[0] * work->scale[i];
+        x[i][1] = -y[1] * work->scale[i];
+    }
+}
+
+/* Diagonals of the inverses of the two factorised matrices; 0 for columns that are left out. */
+static void inverse_diagonals(const zygos_solver_t *work, uint32_t p, double (*out)[2])
+{
+    double(*x)[2] = work->column;
+    for (uint32_t i = 0; i < p; i++) {
+        double square[2] = { 0.0 };
+        memset(x[i], 0, (p - i) * sizeof x[0]);
+        x[i][0] = 1.0;
+        x[i][1] = 1.0;
+        forward((const double(*)[2])work->matrix, i, p, x);
+        for (uint32_t k = i; k < p; k++) {
+            accumulate(square, x[k], x[k]);
+        }
+        out[i][0] = square[0];
+        out[i][1] = square[1];
+    }
 }
 
 /* The standard deviation of the error of the torque sensor that gain g (from 0) is of. */
@@ -164,23 +340,27 @@ static double prior(const zygos_solver_t *work, uint32_t g, uint32_t h)
 }
 
 /* Holds column i of the scaled equations at a value. */
-static void hold(zygos_solver_t *work, uint32_t p, uint32_t i, double value)
+static void hold(const zygos_solver_t *work, uint32_t p, uint32_t i, double value)
 {
-    for (uint32_t j = 0; j < p; j++) {
-        double *both = &work->matrix[(i >= j) ? at(i, j) : at(j, i)];
-        work->right_side[j] -= *both * value;
-        *both = (i == j) ? 1.0 : 0.0;
+    for (uint32_t side = 0; side < 2u; side++) {
+        for (uint32_t j = 0; j < p; j++) {
+            double *both = &work->matrix[at_any(i, j)][side];
+            work->matrix[at(p, j)][side] -= *both * value;
+            *both = (i == j) ? 1.0 : 0.0;
+        }
+        work->matrix[at(p, i)][side] = value;
     }
-    work->right_side[i] = value;
 }
 
 /* Adds the prior of the gains, which are the last columns, to the scaled equations; or holds the gains. */
-static void restrict_gains(zygos_solver_t *work, uint32_t p)
+static void restrict_gains(const zygos_solver_t *work, uint32_t p)
 {
     const uint32_t first = p - work->gains;
     for (uint32_t i = first; i < p; i++) {
         for (uint32_t j = first; (j <= i) && (work->gains_held == 0); j++) {
-            work->matrix[at(i, j)] += prior(work, i - first, j - first) * (work->scale[i] * work->scale[j]);
+            const double more = prior(work, i - first, j - first) * (work->scale[i] * work->scale[j]);
+            work->matrix[at(i, j)][0] += more;
+            work->matrix[at(i, j)][1] += more;
         }
         if (work->gains_held != 0) {
             hold(work, p, i, (work->scale[i] > 0.0) ? work->gain_value[i - first] / work->scale[i] : 0.0);
@@ -188,26 +368,48 @@ static void restrict_gains(zygos_solver_t *work, uint32_t p)
     }
 }
 
-/* The scaled matrix and right side of all blocks, less those of one unless it is null. noise: share of the declared
-   noise that is subtracted. */
-static void scaled_equations(zygos_solver_t *work, uint32_t p, const zygos_block_t *without, double noise)
+/* Two systems of scaled equations in work->matrix, their right sides in row p: of the sums of all rows, less what is in
+   work->matrix, plus so much of the declared noise that was subtracted. Columns that depend on the first rank of
+   work->pivot are left out. */
+static void equations(const zygos_solver_t *work, uint32_t p, uint32_t rank, const double *back)
 {
-    const double *total = work->total;
-    const double *declared = work->noise;
-    const double part = without ? 1.0 - without->head.total / work->instants : 1.0;
-    const double back = (1.0 - noise) * part;
+    work->scale[p] = 1.0;
     for (uint32_t i = 0; i <= p; i++) {
-        for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
-            const uint32_t k = at(i, j);
-            const double value = total[k] - (without ? without->gram[k] : 0.0) + back * declared[k];
-            if (i < p) {
-                work->matrix[k] = value * (work->scale[i] * work->scale[j]);
-            } else {
-                work->right_side[j] = value * work->scale[j];
-            }
+        const double *scale = work->scale;
+        const double *total = &work->total[at(i, 0)];
+        const double *noise = &work->noise[at(i, 0)];
+        double(*out)[2] = &work->matrix[at(i, 0)];
+        for (uint32_t j = 0; j <= i; j++) {
+            const double factor = scale[i] * scale[j];
+            const double sum[2] = { total[j] + back[0] * noise[j], total[j] + back[1] * noise[j] };
+            const double rest[2] = { (sum[0] - out[j][0]) * factor, (sum[1] - out[j][1]) * factor };
+            out[j][0] = rest[0];
+            out[j][1] = rest[1];
         }
     }
     restrict_gains(work, p);
+    for (uint32_t d = rank; d < p; d++) {
+        work->matrix[at(work->pivot[d], work->pivot[d])][0] = 0.0;
+        work->matrix[at(work->pivot[d], work->pivot[d])][1] = 0.0;
+    }
+}
+
+/* The same of all rows, without two shares of the declared noise. */
+static void equations_of_all(const zygos_solver_t *work, uint32_t p, uint32_t rank, double noise, double other)
+{
+    const double back[2] = { 1.0 - noise, 1.0 - other };
+    memset(work->matrix, 0, at(p + 1u, 0) * sizeof work->matrix[0]);
+    equations(work, p, rank, back);
+}
+
+/* The solutions x for two other right sides, which are x, by the factor of all rows. */
+static void solve_again(const zygos_solver_t *work, uint32_t p, double (*x)[2])
+{
+    substitute(work->factor, 0, p, x);
+    for (uint32_t i = 0; i < p; i++) {
+        x[i][0] *= work->scale[i];
+        x[i][1] *= work->scale[i];
+    }
 }
 
 /* Where column c of the motor row of joint i stands; behind the last of them the right side. */
@@ -221,38 +423,15 @@ static uint32_t place_of(const zygos_solver_t *work, uint32_t i, uint32_t c)
     return (c < motor->count[i]) ? column_map->reduced + motor->effect[i][c - 3u] : column_map->parameters;
 }
 
-/* out += factor times a packed matrix of joint i; sides: its right side as well. */
-static void embed(const zygos_solver_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
+/* Every stride-th number of out += factor times a packed matrix of joint i; sides: its right side as well. */
+static void embed(const zygos_solver_t *work, uint32_t i, const double *local, double factor, bool sides, double *out,
+                  uint32_t stride)
 {
     const uint32_t count = work->sums->motors.column_map.count[i];
     for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
         const uint32_t place_a = place_of(work, i, a);
         for (uint32_t b = 0; b <= a; b++) {
-            const uint32_t place_b = place_of(work, i, b);
-            const uint32_t k = (place_a >= place_b) ? at(place_a, place_b) : at(place_b, place_a);
-            out[k] += factor * local[at(a, b)];
-        }
-    }
-}
-
-/* The scaled equations without an arc of the motor rows. */
-static void scaled_without_arc(zygos_solver_t *work, uint32_t p, const zygos_motor_block_t *arc)
-{
-    scaled_equations(work, p, NULL, work->noise_scale);
-    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
-        const uint32_t count = work->sums->motors.column_map.count[i];
-        for (uint32_t a = 0; (a <= count) && (count > 0); a++) {
-            const uint32_t place_a = place_of(work, i, a);
-            for (uint32_t b = 0; (b <= a) && (b < count); b++) {
-                const uint32_t place_b = place_of(work, i, b);
-                const double value = work->weight[i] * arc->joint[i].gram[at(a, b)] * work->scale[place_b];
-                if (a == count) {
-                    work->right_side[place_b] -= value;
-                } else {
-                    const uint32_t k = (place_a >= place_b) ? at(place_a, place_b) : at(place_b, place_a);
-                    work->matrix[k] -= value * work->scale[place_a];
-                }
-            }
+            out[stride * at_any(place_a, place_of(work, i, b))] += factor * local[at(a, b)];
         }
     }
 }
@@ -264,28 +443,18 @@ static uint32_t momentum_place(const zygos_solver_t *work, uint32_t c)
     return column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
 }
 
-/* out += factor times a matrix of the momentum rows, scaled where there is a scale. */
-static void embed_momentum(const zygos_solver_t *work, const double *local, double factor, const double *scale,
-                           double *out)
+/* The same of a matrix of the momentum rows. */
+static void embed_momentum(const zygos_solver_t *work, const double *local, double factor, double *out, uint32_t stride)
 {
     for (uint32_t a = 0; a < work->sums->momentum.columns; a++) {
         const uint32_t place_a = momentum_place(work, a);
         for (uint32_t b = 0; (b <= a) && (place_a != ZYGOS_NO_PLACE); b++) {
             const uint32_t place_b = momentum_place(work, b);
-            if (place_b == ZYGOS_NO_PLACE) {
-                continue;
+            if (place_b != ZYGOS_NO_PLACE) {
+                out[stride * at(place_a, place_b)] += factor * local[at(a, b)];
             }
-            const double both = scale ? scale[place_a] * scale[place_b] : 1.0;
-            out[at(place_a, place_b)] += factor * local[at(a, b)] * both;
         }
     }
-}
-
-/* The scaled equations without an arc of the momentum rows. */
-static void scaled_without_momentum(zygos_solver_t *work, uint32_t p, const zygos_momentum_block_t *arc)
-{
-    scaled_equations(work, p, NULL, work->noise_scale);
-    embed_momentum(work, arc->rows.gram, -work->momentum_weight, work->scale, work->matrix);
 }
 
 /* The factor of a group of joint rows in the total. */
@@ -294,108 +463,41 @@ static double group_factor(const zygos_solver_t *work, uint32_t g)
     return work->joints_weight * work->sums->joints.fade[g];
 }
 
-/* out += factor times the matrix of a group of joint rows and its right side. */
-static void embed_joints(const double *local, double factor, uint32_t p, double *out)
-{
-    for (uint32_t k = 0; k < at(p + 1u, 0); k++) {
-        out[k] += factor * local[k];
-    }
-}
-
-/* The scaled equations without a group of the joint rows. */
-static void scaled_without_group(zygos_solver_t *work, uint32_t p, uint32_t g)
-{
-    const double *gram = work->sums->joints.group[g].gram;
-    const double factor = group_factor(work, g);
-    const double rows = work->joints_alone ? work->instants : 1.0;
-    const double part = work->joints_alone ? work->sums->joints.fade[g] * work->sums->joints.count[g] / rows : 0.0;
-    scaled_equations(work, p, NULL, work->noise_scale);
-    for (uint32_t i = 0; i <= p; i++) {
-        for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
-            const uint32_t k = at(i, j);
-            const double value = factor * gram[k] + part * (1.0 - work->noise_scale) * work->noise[k];
-            if (i < p) {
-                work->matrix[k] -= value * (work->scale[i] * work->scale[j]);
-            } else {
-                work->right_side[j] -= value * work->scale[j];
-            }
-        }
-    }
-}
-
-/* Solves the scaled equations of the rank independent columns; dependent ones become 0. Unscaled solution in x. */
-static void solve_once(zygos_solver_t *work, uint32_t p, uint32_t rank, double *x)
-{
-    for (uint32_t i = 0; i < rank; i++) {
-        work->score[i] = work->right_side[work->pivot[i]];
-    }
-    substitute(work->factor, rank, work->score);
-    memset(x, 0, p * sizeof x[0]);
-    for (uint32_t i = 0; i < rank; i++) {
-        x[work->pivot[i]] = work->score[i] * work->scale[work->pivot[i]];
-    }
-}
-
 /* A dependent column can be exchanged for the independent ones it is made of: neither then has a value. */
 static void mark_identifiable(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     for (uint32_t i = 0; i < p; i++) {
         out->identifiable[i] = 1;
     }
+    double(*x)[2] = work->column;
     for (uint32_t d = rank; d < p; d++) {
         out->identifiable[work->pivot[d]] = 0;
         for (uint32_t i = 0; i < rank; i++) {
-            work->score[i] = entry(work->matrix, work->pivot[i], work->pivot[d]);
+            x[i][0] = work->matrix[at_any(work->pivot[i], work->pivot[d])][0];
+            x[i][1] = 0.0;
         }
-        substitute(work->factor, rank, work->score);
+        substitute(work->factor, 0, rank, x);
         for (uint32_t i = 0; i < rank; i++) {
-            if (magnitude(work->score[i]) > 1e-6) {
+            if (magnitude(x[i][0]) > 1e-6) {
                 out->identifiable[work->pivot[i]] = 0;
             }
         }
     }
 }
 
-/* 1-norm condition number of the scaled matrix of the independent columns; *inverse is the norm of its inverse. */
-static double condition(zygos_solver_t *work, uint32_t rank, double *inverse)
+/* 1-norm of the scaled matrix of the independent columns. */
+static double norm_of(const zygos_solver_t *work, uint32_t p, uint32_t rank)
 {
     double norm = 0.0;
-    double inverse_norm = 0.0;
-    for (uint32_t i = 0; i < rank; i++) {
+    equations_of_all(work, p, rank, work->noise_scale, work->noise_scale);
+    for (uint32_t i = 0; i < p; i++) {
         double column = 0.0;
-        for (uint32_t j = 0; j < rank; j++) {
-            column += magnitude(entry(work->matrix, work->pivot[i], work->pivot[j]));
-            work->score[j] = (i == j) ? 1.0 : 0.0;
+        for (uint32_t j = 0; (j < p) && (work->factor[at(i, i)] < infinity()); j++) {
+            column += (work->factor[at(j, j)] < infinity()) ? magnitude(work->matrix[at_any(i, j)][0]) : 0.0;
         }
         norm = (column > norm) ? column : norm;
-        substitute(work->factor, rank, work->score);
-        column = 0.0;
-        for (uint32_t j = 0; j < rank; j++) {
-            column += magnitude(work->score[j]);
-        }
-        inverse_norm = (column > inverse_norm) ? column : inverse_norm;
     }
-    *inverse = inverse_norm;
-    return norm * inverse_norm;
-}
-
-/* Diagonal of the inverse of the factorised matrix; 0 for columns that left the factorisation. */
-static void inverse_diagonal(zygos_solver_t *work, uint32_t p, uint32_t rank, double *out)
-{
-    const double *l = work->factor;
-    memset(out, 0, p * sizeof out[0]);
-    for (uint32_t i = 0; i < rank; i++) {
-        double sum = 0.0;
-        for (uint32_t k = i; k < rank; k++) {
-            double y = (k == i) ? 1.0 : 0.0;
-            for (uint32_t j = i; j < k; j++) {
-                y -= l[at(k, j)] * work->score[j];
-            }
-            work->score[k] = y / l[at(k, k)];
-            sum += work->score[k] * work->score[k];
-        }
-        out[work->pivot[i]] = sum;
-    }
+    return norm;
 }
 
 /* Student's factor for 95 %, by its expansion in 1 / freedom: within 1 % from 3 degrees of freedom on. */
@@ -405,92 +507,30 @@ static double student(double degrees_of_freedom)
     return TWO_SIGMAS + u * (2.372272 + u * (2.822499 + u * (2.555852 + u * 1.589536)));
 }
 
-/* The score of a block: its right side less its matrix times the solution, scaled. */
-static void score(const zygos_solver_t *work, uint32_t p, const zygos_block_t *block, double *out)
-{
-    const double *declared = work->sums->energy.noise_closed.gram;
-    const double back = (1.0 - work->noise_scale) * work->noise_fraction * block->head.total / work->instants;
-    for (uint32_t i = 0; i < p; i++) {
-        double sum = block->gram[at(p, i)] + back * declared[at(p, i)];
-        for (uint32_t j = 0; j < p; j++) {
-            sum -= (entry(block->gram, i, j) + back * entry(declared, i, j)) * work->solution[j];
-        }
-        out[i] = sum * work->scale[i];
-    }
-}
-
-/* The same of an arc of the motor rows. */
-static void score_of_arc(const zygos_solver_t *work, uint32_t p, const zygos_motor_block_t *arc, double *out)
-{
-    memset(out, 0, p * sizeof out[0]);
-    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
-        const uint32_t count = work->sums->motors.column_map.count[i];
-        const double *gram = arc->joint[i].gram;
-        for (uint32_t a = 0; a < count; a++) {
-            const uint32_t place = place_of(work, i, a);
-            double sum = gram[at(count, a)];
-            for (uint32_t b = 0; b < count; b++) {
-                sum -= entry(gram, a, b) * work->solution[place_of(work, i, b)];
-            }
-            out[place] += work->weight[i] * sum * work->scale[place];
-        }
-    }
-}
-
-static void score_of_momentum(const zygos_solver_t *work, uint32_t p, const zygos_momentum_block_t *arc, double *out)
-{
-    const uint32_t count = work->sums->momentum.columns;
-    memset(out, 0, p * sizeof out[0]);
-    for (uint32_t a = 0; a < count; a++) {
-        const uint32_t place = momentum_place(work, a);
-        if (place == ZYGOS_NO_PLACE) {
-            continue;
-        }
-        for (uint32_t b = 0; b < count; b++) {
-            const uint32_t other = momentum_place(work, b);
-            out[place] -= (other != ZYGOS_NO_PLACE) ? entry(arc->rows.gram, a, b) * work->solution[other] : 0.0;
-        }
-        out[place] *= work->momentum_weight * work->scale[place];
-    }
-}
-
-/* The same of a group of joint rows. */
-static void score_of_group(const zygos_solver_t *work, uint32_t p, uint32_t g, double *out)
-{
-    const double *gram = work->sums->joints.group[g].gram;
-    for (uint32_t i = 0; i < p; i++) {
-        double sum = gram[at(p, i)];
-        for (uint32_t j = 0; j < p; j++) {
-            sum -= entry(gram, i, j) * work->solution[j];
-        }
-        out[i] = group_factor(work, g) * sum * work->scale[i];
-    }
-}
-
 /* By how much the square of a block's own influence is too small, at least 1: the change without the block over its own
-   influence, both along its score, which is in right_side. */
-static double enlargement(const zygos_solver_t *work, uint32_t p, const double *change)
+   influence, both along its score. */
+static double enlargement(const zygos_solver_t *work, uint32_t p, uint32_t side)
 {
     double whole = 0.0;
     double own = 0.0;
     for (uint32_t i = 0; i < p; i++) {
-        const double pull = work->right_side[i] / work->scale[i];
-        whole += pull * change[i];
-        own += pull * work->linearised[i];
+        const double pull = work->pull[i][side] / work->scale[i];
+        whole += pull * work->change[i][side];
+        own += pull * work->influence[i][side];
     }
     return ((own > 0.0) && (whole > own)) ? whole / own : 1.0;
 }
 
-/* The factor in use and the other one change places, each with the order of its rows. */
-static void exchange_factors(zygos_solver_t *work, uint32_t p)
+/* covariance += the sum of factor x x' of two vectors side by side. */
+static void add_squares(double *covariance, uint32_t p, double (*x)[2], const double *factor)
 {
-    double *factor = work->factor;
-    work->factor = work->other_factor;
-    work->other_factor = factor;
     for (uint32_t i = 0; i < p; i++) {
-        const uint32_t pivot = work->pivot[i];
-        work->pivot[i] = work->other_pivot[i];
-        work->other_pivot[i] = pivot;
+        const double first = factor[0] * x[i][0];
+        const double second = factor[1] * x[i][1];
+        double *row = &covariance[at(i, 0)];
+        for (uint32_t j = 0; j <= i; j++) {
+            row[j] += first * x[j][0] + second * x[j][1];
+        }
     }
 }
 
@@ -500,7 +540,7 @@ typedef struct {
     uint32_t motors;  ///< The same with the arcs of motor rows behind them.
     uint32_t momenta; ///< The same with those of momentum rows.
     uint32_t all;     ///< The same with the groups of joint rows.
-    double factor;    ///< Blocks of energy rows overlap: the squares of their weights add up to less than the weights.
+    double overlap;   ///< Blocks of energy rows overlap: the squares of their weights add up to less than the weights.
 } parts_t;
 
 static parts_t parts_of(const zygos_solver_t *work)
@@ -515,89 +555,139 @@ static parts_t parts_of(const zygos_solver_t *work)
         instants += zygos_accumulator_at(&work->sums->energy, b)->head.total;
         square += zygos_accumulator_at(&work->sums->energy, b)->square;
     }
-    out.factor = (square > 0.0) ? instants / square : 1.0;
+    out.overlap = (square > 0.0) ? instants / square : 1.0;
     return out;
 }
 
-/* The scaled equations without block b. */
-static void scaled_without(zygos_solver_t *work, uint32_t p, const parts_t *parts, uint32_t b)
-{
-    if (b < parts->energy) {
-        scaled_equations(work, p, zygos_accumulator_at(&work->sums->energy, work->blocks.first + b), work->noise_scale);
-    } else if (b < parts->motors) {
-        scaled_without_arc(work, p, zygos_motor_sums_at(&work->sums->motors, work->arcs.first + b - parts->energy));
-    } else if (b < parts->momenta) {
-        scaled_without_momentum(work, p,
-                                zygos_momentum_sums_at(&work->sums->momentum, work->momenta.first + b - parts->motors));
-    } else {
-        scaled_without_group(work, p, b - parts->momenta);
-    }
-}
+/* Two blocks, or the last one alone, and the share of each in the declared noise: of its own rows, and of what is left
+   out with it. */
+typedef struct {
+    uint32_t count;
+    double factor[2]; ///< Of the square of its influence.
+    double own[2];
+    double share[2];
+} couple_t;
 
-/* The own influence of block b on the solution, in linearised; its score is in right_side. Returns the factor of its
-   square. */
-static double influence(zygos_solver_t *work, uint32_t p, uint32_t rank, const parts_t *parts, uint32_t b)
+/* Adds the sums of block b to one side of work->matrix. */
+static void add_block(const zygos_solver_t *work, uint32_t p, const parts_t *parts, uint32_t b, couple_t *couple)
 {
+    const uint32_t side = couple->count++;
+    double *out = &work->matrix[0][side];
+    const double *gram = NULL;
+    double weight = 1.0;
+    couple->factor[side] = 1.0;
     if (b < parts->energy) {
-        score(work, p, zygos_accumulator_at(&work->sums->energy, work->blocks.first + b), work->right_side);
+        const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, work->blocks.first + b);
+        gram = block->gram;
+        couple->factor[side] = parts->overlap;
+        couple->share[side] = block->head.total / work->instants;
+        couple->own[side] = couple->share[side];
     } else if (b < parts->motors) {
-        score_of_arc(work, p, zygos_motor_sums_at(&work->sums->motors, work->arcs.first + b - parts->energy),
-                     work->right_side);
-    } else if (b < parts->momenta) {
-        score_of_momentum(work, p,
-                          zygos_momentum_sums_at(&work->sums->momentum, work->momenta.first + b - parts->motors),
-                          work->right_side);
-    } else {
-        score_of_group(work, p, b - parts->momenta, work->right_side);
-    }
-    solve_once(work, p, rank, work->linearised);
-    return (b < parts->energy) ? parts->factor : 1.0;
-}
-
-/* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
-   their weights. Each variance is the product of the change without a block and of the block's own influence, which is
-   right on average; but a matrix of such products need not be positive semi-definite. The correlations are therefore
-   those of squares: of the blocks' own influences, each enlarged by what it is too small by in its own direction. A
-   parameter whose information comes from few blocks has few degrees of freedom. A block without which the equations
-   lose rank leaves all sigmas infinite: the motion was informative once only. Needs the factor of the solution. */
-static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
-{
-    const parts_t parts = parts_of(work);
-    bool once = false;
-    memset(work->information[0], 0, p * sizeof work->information[0][0]);
-    memset(work->information[1], 0, p * sizeof work->information[1][0]);
-    memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
-    memset(work->product, 0, p * sizeof work->product[0]);
-    memset(work->linearised_variance, 0, p * sizeof work->linearised_variance[0]);
-    for (uint32_t b = 0; (b < parts.all) && !once; b++) {
-        exchange_factors(work, p);
-        scaled_without(work, p, &parts, b);
-        once = (factorise(work, p, rank) < rank);
-        solve_once(work, p, rank, work->without);
-        inverse_diagonal(work, p, rank, work->right_side);
-        for (uint32_t i = 0; i < p; i++) {
-            const double gain = work->right_side[i] - work->inverse[i];
-            const double share = (gain > 0.0) ? gain : 0.0;
-            work->without[i] = work->solution[i] - work->without[i];
-            work->information[0][i] += share;
-            work->information[1][i] += share * share;
-        }
-        exchange_factors(work, p);
-        const double factor = influence(work, p, rank, &parts, b);
-        const double enlarged = factor * enlargement(work, p, work->without);
-        for (uint32_t i = 0; i < p; i++) {
-            work->product[i] += factor * work->without[i] * work->linearised[i];
-            work->linearised_variance[i] += factor * work->linearised[i] * work->linearised[i];
-            for (uint32_t j = 0; j <= i; j++) {
-                covariance[at(i, j)] += enlarged * work->linearised[i] * work->linearised[j];
+        const zygos_motor_block_t *arc = zygos_motor_sums_at(&work->sums->motors, work->arcs.first + b - parts->energy);
+        for (uint32_t i = 0; i < work->sums->config.joints; i++) {
+            if (work->weight[i] > 0.0) {
+                embed(work, i, arc->joint[i].gram, work->weight[i], true, out, 2u);
             }
         }
+    } else if (b < parts->momenta) {
+        const zygos_momentum_block_t *arc =
+            zygos_momentum_sums_at(&work->sums->momentum, work->momenta.first + b - parts->motors);
+        embed_momentum(work, arc->rows.gram, work->momentum_weight, out, 2u);
+    } else {
+        const uint32_t g = b - parts->momenta;
+        gram = work->sums->joints.group[g].gram;
+        weight = group_factor(work, g);
+        couple->share[side] =
+            work->joints_alone ? work->sums->joints.fade[g] * work->sums->joints.count[g] / work->instants : 0.0;
     }
-    if (once) {
-        memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
-        memset(work->product, 0, p * sizeof work->product[0]);
-        memset(work->linearised_variance, 0, p * sizeof work->linearised_variance[0]);
+    for (uint32_t k = 0; (gram != NULL) && (k < at(p + 1u, 0)); k++) {
+        out[2u * k] = weight * gram[k];
     }
+}
+
+/* Two blocks from b on: their sums in work->matrix, their scores, which are right side less matrix times solution,
+   scaled, in pull, and their own influences on the solution. */
+static couple_t influences(zygos_solver_t *work, uint32_t p, const parts_t *parts, uint32_t b)
+{
+    couple_t out = { .count = 0 };
+    memset(work->matrix, 0, at(p + 1u, 0) * sizeof work->matrix[0]);
+    for (uint32_t k = b; (k < b + 2u) && (k < parts->all); k++) {
+        add_block(work, p, parts, k, &out);
+    }
+    work->solution[p] = -1.0;
+    for (uint32_t i = 0; i <= p; i++) {
+        double(*row)[2] = &work->matrix[at(i, 0)];
+        double sum[2] = { 0.0 };
+        const double own[2] = { work->solution[i], work->solution[i] };
+        for (uint32_t j = 0; j < i; j++) {
+            const double other[2] = { work->solution[j], work->solution[j] };
+            accumulate(sum, row[j], other);
+            accumulate(work->pull[j], row[j], own);
+        }
+        accumulate(sum, row[i], own);
+        work->pull[i][0] = sum[0];
+        work->pull[i][1] = sum[1];
+    }
+    const double back = 1.0 - work->noise_scale;
+    for (uint32_t i = 0; i < p; i++) {
+        for (uint32_t side = 0; side < 2u; side++) {
+            const double noisy = back * out.own[side] * work->right_side[i];
+            work->pull[i][side] = -(work->pull[i][side] + noisy) * work->scale[i];
+            work->influence[i][side] = work->pull[i][side];
+        }
+    }
+    solve_again(work, p, work->influence);
+    return out;
+}
+
+/* right_side := the declared noise of the energy rows times the solution, which the scores of the blocks share. */
+static void score_noise(const zygos_solver_t *work, uint32_t p)
+{
+    work->solution[p] = -1.0;
+    multiply(work->sums->energy.noise_closed.gram, work->solution, p + 1u, work->right_side);
+    for (uint32_t i = 0; i < p; i++) {
+        work->right_side[i] *= work->noise_fraction;
+    }
+}
+
+/* Solves without each of two blocks, whose sums are in work->matrix, and adds what follows to the sums over the blocks.
+   Returns false where the equations lose rank. */
+static bool leave_out_both(const zygos_solver_t *work, uint32_t p, uint32_t rank, const couple_t *couple,
+                           double *covariance)
+{
+    const double noise = 1.0 - work->noise_scale;
+    const double back[2] = { noise * (1.0 - couple->share[0]), noise * (1.0 - couple->share[1]) };
+    double enlarged[2] = { 0.0 };
+    uint32_t left[2];
+    equations(work, p, rank, back);
+    solve_both(work, p, left);
+    for (uint32_t i = 0; i < p; i++) {
+        work->change[i][0] = work->solution[i] - work->change[i][0];
+        work->change[i][1] = work->solution[i] - work->change[i][1];
+    }
+    for (uint32_t side = 0; side < couple->count; side++) {
+        enlarged[side] = couple->factor[side] * enlargement(work, p, side);
+    }
+    add_squares(covariance, p, work->influence, enlarged);
+    inverse_diagonals(work, p, work->pull);
+    for (uint32_t side = 0; side < couple->count; side++) {
+        const double factor = couple->factor[side];
+        for (uint32_t i = 0; i < p; i++) {
+            const double gain = work->pull[i][side] - work->inverse[i];
+            const double more = (gain > 0.0) ? gain : 0.0;
+            const double own = factor * work->influence[i][side];
+            work->information[0][i] += more;
+            work->information[1][i] += more * more;
+            work->product[i] += own * work->change[i][side];
+            work->linearised_variance[i] += own * work->influence[i][side];
+        }
+    }
+    return (left[0] == rank) && ((couple->count < 2u) || (left[1] == rank));
+}
+
+/* Covariance and degrees of freedom from the sums over the blocks. */
+static void finish_jackknife(zygos_solver_t *work, uint32_t p, double *covariance)
+{
     for (uint32_t i = 0; i < p; i++) {
         const double several = work->information[0][i] * work->information[0][i];
         double degrees_of_freedom = (work->information[1][i] > 0.0) ? several / work->information[1][i] : 1.0;
@@ -612,7 +702,35 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
         for (uint32_t j = 0; j <= i; j++) {
             covariance[at(i, j)] *= work->product[i] * work->product[j];
         }
-        covariance[at(i, i)] = once ? infinity() : covariance[at(i, i)];
+    }
+}
+
+/* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
+   their weights. Each variance is the product of the change without a block and of the block's own influence, which is
+   right on average; but a matrix of such products need not be positive semi-definite. The correlations are therefore
+   those of squares: of the blocks' own influences, each enlarged by what it is too small by in its own direction. A
+   parameter whose information comes from few blocks has few degrees of freedom. A block without which the equations
+   lose rank leaves all sigmas infinite: the motion was informative once only. Needs the factor of the solution. */
+static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
+{
+    const parts_t parts = parts_of(work);
+    double *const sums[] = { work->information[0], work->information[1], work->product, work->linearised_variance };
+    bool once = false;
+    for (uint32_t k = 0; k < sizeof sums / sizeof sums[0]; k++) {
+        memset(sums[k], 0, p * sizeof sums[k][0]);
+    }
+    memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    score_noise(work, p);
+    for (uint32_t b = 0; (b < parts.all) && !once; b += 2u) {
+        const couple_t couple = influences(work, p, &parts, b);
+        once = !leave_out_both(work, p, rank, &couple, covariance);
+    }
+    finish_jackknife(work, p, covariance);
+    if (once) {
+        memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    }
+    for (uint32_t i = 0; (i < p) && once; i++) {
+        covariance[at(i, i)] = infinity();
     }
 }
 
@@ -746,7 +864,7 @@ static bool positive_definite(zygos_solver_t *work, const double *sigma)
     const bool free = (config->base == ZYGOS_BASE_FREE);
     const uint32_t size = 2u * config->joints + (free ? (space ? 3u : 2u) : 0u);
     const uint32_t split = (space && !free) ? size - 2u : size;
-    double *m = work->matrix;
+    double *m = work->matrix[0];
     memset(m, 0, at(size, 0) * sizeof m[0]);
     for (uint32_t k = 0; k < work->column_map.kinetic; k++) {
         uint32_t a = 0;
@@ -850,67 +968,82 @@ static double noise_square(const zygos_solver_t *work, uint32_t p, double unexpl
     return (unexplained > 0.0) ? unexplained / length : 0.0;
 }
 
-/* Adds the same amount of noise again: the change of the solution is the error that the noise may hide. */
-static void shift_by_noise(zygos_solver_t *work, uint32_t p, double noise)
+/* Factorises the sums without a share of the declared noise, and solves; those without another share are factorised
+   beside it. Writes the rank of either. */
+static void solve_with(const zygos_solver_t *work, uint32_t p, uint32_t rank, double noise, double other,
+                       uint32_t *ranks)
 {
-    scaled_equations(work, p, NULL, work->noise_scale);
+    equations_of_all(work, p, rank, noise, other);
+    solve_both(work, p, ranks);
     for (uint32_t i = 0; i < p; i++) {
-        work->matrix[at(i, i)] += noise;
+        work->solution[i] = work->change[i][0];
     }
-    solve_once(work, p, factorise(work, p, p), work->noise_shift);
-    for (uint32_t i = 0; i < p; i++) {
-        work->noise_shift[i] -= work->solution[i];
+    for (uint32_t k = 0; k < at(p, 0); k++) {
+        work->factor[k] = work->matrix[k][0];
     }
 }
 
-/* Largest ratio of declared noise to sums over all combinations of the independent columns, by the power method; the
-   factor is that of the sums. */
-static double noise_share(zygos_solver_t *work, uint32_t rank)
+/* The error that noise may hide: the change of the solution by the same amount of noise again; and, where not all could
+   be subtracted, by what was. */
+static void shift_by_noise(const zygos_solver_t *work, uint32_t p, double noise, bool noisy)
 {
-    const double *declared = work->noise;
-    const uint32_t columns = work->column_map.parameters - (work->gains_held ? work->gains : 0u);
-    double *v = work->score;
-    double *u = work->right_side;
-    double ratio = 0.0;
-    for (uint32_t i = 0; i < rank; i++) {
-        v[i] = 1.0 + 0.1 * (double)(i % 7u);
+    uint32_t rank[2];
+    equations_of_all(work, p, p, work->noise_scale, 0.0);
+    for (uint32_t i = 0; i < p; i++) {
+        work->matrix[at(i, i)][0] += noise;
     }
-    for (uint32_t round = 0; round < POWER_ROUNDS; round++) {
+    solve_both(work, p, rank);
+    for (uint32_t i = 0; i < p; i++) {
+        const double shift[2] = { work->change[i][0] - work->solution[i], work->change[i][1] - work->solution[i] };
+        work->noise_square[i] = shift[0] * shift[0] + (noisy ? shift[1] * shift[1] : 0.0);
+    }
+}
+
+/* Largest ratio of declared noise to sums over all combinations of the independent columns, by the power method. */
+static double noise_share(zygos_solver_t *work, uint32_t p, uint32_t rank)
+{
+    const uint32_t columns = p - (work->gains_held ? work->gains : 0u);
+    double *scaled = work->matrix[0];
+    double *v = work->right_side;
+    double *noisy = work->change[0];
+    double *along = work->product; /* the sums times v */
+    double(*next)[2] = work->column;
+    double change = infinity();
+    double share = 0.0;
+    uint32_t ranks[2];
+    solve_with(work, p, rank, 0.0, 0.0, ranks);
+    for (uint32_t i = 0; i < p; i++) {
+        v[i] = 1.0 + 0.1 * (double)(i % 7u);
+        along[i] = 0.0;
+        for (uint32_t j = 0; j <= i; j++) {
+            scaled[at(i, j)] = (i < columns) ? work->noise[at(i, j)] * work->scale[i] * work->scale[j] : 0.0;
+        }
+    }
+    for (uint32_t round = 0; (round < POWER_ROUNDS) && ((round < 2u) || (change > POWER_CHANGE)); round++) {
         double noise = 0.0;
         double sums = 0.0;
         double length = 0.0;
-        for (uint32_t i = 0; i < rank; i++) {
-            const uint32_t a = work->pivot[i];
-            double along = 0.0;
-            u[i] = 0.0;
-            for (uint32_t j = 0; j < rank; j++) {
-                const uint32_t b = work->pivot[j];
-                const double noisy = ((a < columns) && (b < columns)) ? entry(declared, a, b) : 0.0;
-                u[i] += noisy * work->scale[a] * work->scale[b] * v[j];
-                along += entry(work->matrix, a, b) * v[j];
-            }
-            noise += v[i] * u[i];
-            sums += v[i] * along;
+        multiply(scaled, v, p, noisy);
+        for (uint32_t i = 0; i < p; i++) {
+            noise += v[i] * noisy[i];
+            sums += v[i] * along[i];
+            next[i][0] = noisy[i];
+            next[i][1] = 0.0;
         }
-        ratio = (sums > 0.0) ? noise / sums : 0.0;
-        substitute(work->factor, rank, u);
-        for (uint32_t i = 0; i < rank; i++) {
-            length = (magnitude(u[i]) > length) ? magnitude(u[i]) : length;
+        share = (sums > 0.0) ? noise / sums : 0.0;
+        substitute(work->factor, 0, p, next);
+        for (uint32_t i = 0; i < p; i++) {
+            length = (magnitude(next[i][0]) > length) ? magnitude(next[i][0]) : length;
         }
-        for (uint32_t i = 0; (i < rank) && (length > 0.0); i++) {
-            v[i] = u[i] / length;
+        change = 0.0;
+        for (uint32_t i = 0; (i < p) && (length > 0.0); i++) {
+            const double step = magnitude(next[i][0] / length - v[i]);
+            change = (step > change) ? step : change;
+            v[i] = next[i][0] / length;
+            along[i] = noisy[i] / length;
         }
     }
-    return ratio;
-}
-
-/* Factorises without the given share of the declared noise, and solves. */
-static uint32_t solve_with(zygos_solver_t *work, uint32_t p, uint32_t most, double noise, double *x)
-{
-    scaled_equations(work, p, NULL, noise);
-    const uint32_t rank = factorise(work, p, most);
-    solve_once(work, p, rank, x);
-    return rank;
+    return share;
 }
 
 /* Sum over the columns of the momentum rows of x_a x_b entry. */
@@ -957,54 +1090,77 @@ static double energy_left(const zygos_solver_t *work, uint32_t p, const double *
 }
 
 /* Chooses the share of the declared noise that is subtracted: as much as the residuals show if that is clearly less,
-   and not more than half of any combination. Needs the factor of the sums with their noise. */
-static void choose_noise_scale(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+   and not more than half of any combination of columns; and solves without it. Half of one is noise where the sums less
+   twice the noise are not positive. signal_to_noise: null, or where that ratio is written, which costs more. Returns
+   the rank. */
+static uint32_t solve_beside_noise(zygos_solver_t *work, uint32_t p, uint32_t rank, double *signal_to_noise)
 {
-    const double share = noise_share(work, rank);
+    uint32_t ranks[2] = { 0, 0 };
+    double share = 0.0;
     double seen = 1.0;
-    work->noise_scale = 1.0;
-    out->signal_to_noise = infinity();
-    for (uint32_t round = 0; (round < 3) && (share > 0.0); round++) {
-        const double most = 1.0 / (ZYGOS_MIN_SIGNAL_TO_NOISE * share);
-        if (round > 0) {
-            double explained = 0.0;
-            (void)solve_with(work, p, rank, work->noise_scale, work->solution);
-            const double left = energy_left(work, p, work->solution, &explained);
-            seen = (left < ZYGOS_OVERDECLARED * explained) ? left / explained : 1.0;
-        }
-        work->noise_scale = (seen < most) ? seen : most;
-        out->signal_to_noise = 1.0 / (share * seen);
+    double most = 1.0;
+    if (signal_to_noise == NULL) {
+        solve_with(work, p, rank, 1.0, 2.0, ranks);
     }
+    if (ranks[1] < rank) {
+        share = noise_share(work, p, rank);
+        most = (ZYGOS_MIN_SIGNAL_TO_NOISE * share > 1.0) ? 1.0 / (ZYGOS_MIN_SIGNAL_TO_NOISE * share) : 1.0;
+        solve_with(work, p, rank, most, most, ranks);
+    }
+    work->noise_scale = most;
+    for (uint32_t round = 0; round < 2u; round++) {
+        double explained = 0.0;
+        const double unexplained = energy_left(work, p, work->solution, &explained);
+        seen = (unexplained < ZYGOS_OVERDECLARED * explained) ? unexplained / explained : 1.0;
+        const double next = (seen < most) ? seen : most;
+        if ((next < work->noise_scale) || (next > work->noise_scale)) {
+            work->noise_scale = next;
+            solve_with(work, p, rank, next, next, ranks);
+        }
+    }
+    if (signal_to_noise != NULL) {
+        *signal_to_noise = (share > 0.0) ? 1.0 / (share * seen) : infinity();
+    }
+    return ranks[0];
 }
 
-/* Scales to the sums with their noise and solves them as they are. Returns the rank. */
+/* Scales to the sums with their noise. Returns their rank. */
 static uint32_t begin(zygos_solver_t *work, uint32_t p)
 {
     for (uint32_t i = 0; i < p; i++) {
         const double square = work->total[at(i, i)] + work->noise[at(i, i)];
         work->scale[i] = (square > 0.0) ? 1.0 / root(square) : 0.0;
     }
-    return solve_with(work, p, p, 0.0, work->solution);
+    equations_of_all(work, p, p, 0.0, 0.0);
+    return independent(work, p);
+}
+
+/* The values x of the columns of the motor rows of joint i. Returns the mean square of the noise that the signals of an
+   instant have in such a row. */
+static double motor_noise(const zygos_solver_t *work, uint32_t i, double *x)
+{
+    const zygos_motor_sums_t *sums = &work->sums->motors;
+    double sum = 0.0;
+    for (uint32_t a = 0; a < sums->column_map.count[i]; a++) {
+        x[a] = work->solution[place_of(work, i, a)];
+        for (uint32_t b = 0; b <= a; b++) {
+            sum += ((a == b) ? 1.0 : 2.0) * x[a] * x[b] * sums->noise[i][at(a, b)];
+        }
+    }
+    return sum;
 }
 
 /* Mean square of the noise in a motor row of joint i: that of the signals of the instant, and that of the integral of
    the deflection, the mean over an arc of a random walk about its own mean. */
 static double joint_variance(const zygos_solver_t *work, uint32_t i)
 {
-    const zygos_motor_sums_t *sums = &work->sums->motors;
     const zygos_joint_config_t *joint = &work->sums->config.joint[i];
-    double local[ZYGOS_MAX_IMPULSE] = { 0.0 };
-    double sum = 0.0;
-    for (uint32_t a = 0; a < sums->column_map.count[i]; a++) {
-        local[a] = work->solution[place_of(work, i, a)];
-        for (uint32_t b = 0; b <= a; b++) {
-            sum += ((a == b) ? 1.0 : 2.0) * local[a] * local[b] * sums->noise[i][at(a, b)];
-        }
-    }
+    double x[ZYGOS_MAX_IMPULSE] = { 0.0 };
+    const double noise = motor_noise(work, i, x);
     const double arc_s = work->sums->config.period_s * (double)work->sums->config.impulse_arc_cycles;
     const double reading =
         joint->link_sigma_rad * joint->link_sigma_rad + joint->motor_sigma_rad * joint->motor_sigma_rad;
-    return sum + local[1] * local[1] * reading * arc_s * arc_s / WALK;
+    return noise + x[1] * x[1] * reading * arc_s * arc_s / WALK;
 }
 
 /* Adds the motor rows of each joint to those of the energy, weighted by their noise where they have no weights yet.
@@ -1019,9 +1175,9 @@ static void add_motors(zygos_solver_t *work, double energy)
             work->weight[i] = ((joint > 0.0) && enough) ? energy / joint : 0.0;
         }
         for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (work->weight[i] > 0.0); b++) {
-            embed(work, i, zygos_motor_sums_at(sums, b)->joint[i].gram, work->weight[i], true, work->total);
+            embed(work, i, zygos_motor_sums_at(sums, b)->joint[i].gram, work->weight[i], true, work->total, 1u);
             embed(work, i, sums->noise[i], work->weight[i] * zygos_motor_sums_at(sums, b)->instants[i], false,
-                  work->noise);
+                  work->noise, 1u);
         }
     }
 }
@@ -1030,7 +1186,7 @@ static void add_motors(zygos_solver_t *work, double energy)
 static void widen(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     for (uint32_t i = 0; i < p; i++) {
-        out->covariance[at(i, i)] += work->noise_shift[i] * work->noise_shift[i];
+        out->covariance[at(i, i)] += work->noise_square[i];
         out->sigma[i] = root(out->covariance[at(i, i)]);
     }
 }
@@ -1056,44 +1212,53 @@ static void add_common_error(const zygos_solver_t *work, uint32_t p, double syst
     }
 }
 
+/* Adds the deviation of a block, scaled, to every second number of out. */
+static void scale_deviation(const zygos_solver_t *work, uint32_t p, uint32_t b, double *out)
+{
+    const zygos_accumulator_t *sums = &work->sums->energy;
+    const double *deviation = zygos_accumulator_deviation(sums, zygos_accumulator_at(sums, b));
+    for (uint32_t i = 0; i < p; i++) {
+        out[2u * i] += deviation[i] * work->scale[i];
+    }
+}
+
 /* The noise of torques walks in the work of an arc, so that its errors are alike in neighbouring blocks, and the
    scatter of blocks shows too little of them. A step of the walk acts on the sums of all centred rows behind it. These
    are the sums of the deviations of the blocks, in order of time; within a block they change evenly, from u to next.
    Where a block of an arc is lacking they do not end with 0; the rest is shared out to all instants. */
-static void add_torque_noise(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
+static void add_torque_noise(zygos_solver_t *work, uint32_t p, double *covariance)
 {
-    double *u = work->without;
-    double *next = work->linearised;
-    double *rest = work->product;
-    memset(u, 0, p * sizeof u[0]);
-    memset(work->right_side, 0, p * sizeof work->right_side[0]);
+    double(*x)[2] = work->influence; /* the sums so far, and the next ones */
+    double(*step)[2] = work->column; /* of two blocks */
+    double(*rest)[2] = work->change;
+    memset(x, 0, p * sizeof x[0]);
+    memset(rest, 0, p * sizeof rest[0]);
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
-        const double *deviation = zygos_accumulator_deviation(&work->sums->energy, block);
-        for (uint32_t i = 0; i < p; i++) {
-            work->right_side[i] += deviation[i] * work->scale[i];
-        }
+        scale_deviation(work, p, b, &rest[0][0]);
     }
-    solve_once(work, p, rank, rest);
+    solve_again(work, p, rest);
     for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
-        const double *deviation = zygos_accumulator_deviation(&work->sums->energy, block);
-        const double share = block->head.total / work->instants;
-        for (uint32_t i = 0; i < p; i++) {
-            work->right_side[i] = deviation[i] * work->scale[i];
-        }
-        solve_once(work, p, rank, next);
-        for (uint32_t i = 0; i < p; i++) {
-            next[i] += u[i] - share * rest[i];
-        }
-        const double third = block->variance[0] / 3.0;
-        for (uint32_t i = 0; i < p; i++) {
-            for (uint32_t j = 0; j <= i; j++) {
-                const double both = 0.5 * (u[i] * next[j] + next[i] * u[j]);
-                covariance[at(i, j)] += third * (u[i] * u[j] + next[i] * next[j] + both);
+        const uint32_t side = (b - work->blocks.first) % 2u;
+        if (side == 0u) {
+            memset(step, 0, p * sizeof step[0]);
+            scale_deviation(work, p, b, &step[0][0]);
+            if (b + 1u < work->blocks.end) {
+                scale_deviation(work, p, b + 1u, &step[0][1]);
             }
+            solve_again(work, p, step);
         }
-        memcpy(u, next, p * sizeof u[0]);
+        const double share = block->head.total / work->instants;
+        /* The integral of the square of what goes from u to v, u u' + (u v' + v u') / 2 + v v', as two squares. */
+        const double factor[2] = { block->variance[0] / 3.0, block->variance[0] / 4.0 };
+        for (uint32_t i = 0; i < p; i++) {
+            x[i][1] = x[i][0] + step[i][side] - share * rest[i][0];
+            x[i][0] += 0.5 * x[i][1];
+        }
+        add_squares(covariance, p, x, factor);
+        for (uint32_t i = 0; i < p; i++) {
+            x[i][0] = x[i][1];
+        }
     }
 }
 
@@ -1117,18 +1282,22 @@ static void release_gains(zygos_solver_t *work, uint32_t p, uint32_t rank, doubl
     for (uint32_t g = 0; g < work->gains; g++) {
         set_gain_cost(work, p, g, left * gain_sigma(work, g) * gain_sigma(work, g));
     }
-    const uint32_t free = solve_with(work, p, rank, work->noise_scale, work->solution);
-    inverse_diagonal(work, p, free, work->inverse);
+    uint32_t ranks[2];
+    solve_with(work, p, rank, work->noise_scale, work->noise_scale, ranks);
+    (void)invert(work, p, work->inverse);
     memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
     const parts_t parts = parts_of(work);
-    for (uint32_t b = 0; b < parts.all; b++) {
-        const double factor = influence(work, p, free, &parts, b);
+    score_noise(work, p);
+    for (uint32_t b = 0; b < parts.all; b += 2u) {
+        const couple_t couple = influences(work, p, &parts, b);
         for (uint32_t g = first; g < p; g++) {
-            covariance[at(g, g)] += factor * work->linearised[g] * work->linearised[g];
+            for (uint32_t side = 0; side < couple.count; side++) {
+                covariance[at(g, g)] += couple.factor[side] * work->influence[g][side] * work->influence[g][side];
+            }
         }
     }
     if (work->joints_alone == 0) {
-        add_torque_noise(work, p, free, covariance);
+        add_torque_noise(work, p, covariance);
     }
     for (uint32_t g = 0; g < work->gains; g++) {
         const double scale = work->scale[first + g];
@@ -1140,41 +1309,36 @@ static void release_gains(zygos_solver_t *work, uint32_t p, uint32_t rank, doubl
 /* Adds what the errors of the sensors' gains make of the solution: u = A^-1 prior e of each gain, and their sum of the
    sensor that the gains are relative to. Of each gain the estimate without a prior is so judged as well: it has the
    error of the gain itself, less what the prior takes off, and that of the rows. */
-static void add_prior(zygos_solver_t *work, uint32_t p, uint32_t rank, double *covariance)
+static void add_prior(zygos_solver_t *work, uint32_t p, double *covariance)
 {
     const uint32_t first = p - work->gains;
     const double limit = ZYGOS_GAIN_SIGMAS * ZYGOS_GAIN_SIGMAS;
-    double *u = work->without;
-    double *common = work->linearised;
+    double(*u)[2] = work->change;
+    double *all = work->right_side;
+    memset(all, 0, p * sizeof all[0]);
     double scatter[ZYGOS_MAX_JOINTS] = { 0.0 };
     double expected[ZYGOS_MAX_JOINTS] = { 0.0 };
-    memset(common, 0, p * sizeof common[0]);
     memset(work->prior_variance, 0, p * sizeof work->prior_variance[0]);
     for (uint32_t g = 0; g < work->gains; g++) {
         scatter[g] = covariance[at(first + g, first + g)];
     }
-    for (uint32_t g = 0; g <= work->gains; g++) {
+    for (uint32_t g = 0; (g <= work->gains) && (work->gains > 0); g++) {
         const bool reference = (g == work->gains);
         const double sigma = reference ? work->gain_reference : gain_sigma(work, g);
-        memset(work->right_side, 0, p * sizeof work->right_side[0]);
-        for (uint32_t h = 0; (h < work->gains) && !reference; h++) {
-            work->right_side[first + h] = prior(work, g, h) * work->scale[first + h];
-        }
-        if (reference) {
-            memcpy(u, common, p * sizeof u[0]);
-        } else {
-            solve_once(work, p, rank, u);
-        }
-        for (uint32_t i = 0; i < p; i++) {
-            common[i] += reference ? 0.0 : u[i];
-            work->prior_variance[i] += sigma * sigma * u[i] * u[i];
-            for (uint32_t j = 0; j <= i; j++) {
-                covariance[at(i, j)] += sigma * sigma * u[i] * u[j];
-            }
-        }
+        const double square[2] = { sigma * sigma, 0.0 };
+        memset(u, 0, p * sizeof u[0]);
         for (uint32_t h = 0; h < work->gains; h++) {
-            const double passes = (((h == g) || reference) ? 1.0 : 0.0) - u[first + h];
-            expected[h] += sigma * sigma * passes * passes;
+            u[first + h][0] = reference ? all[first + h] : prior(work, g, h) * work->scale[first + h];
+            all[first + h] += u[first + h][0];
+        }
+        solve_again(work, p, u);
+        for (uint32_t i = 0; i < p; i++) {
+            work->prior_variance[i] += square[0] * u[i][0] * u[i][0];
+        }
+        add_squares(covariance, p, u, square);
+        for (uint32_t h = 0; h < work->gains; h++) {
+            const double passes = (((h == g) || reference) ? 1.0 : 0.0) - u[first + h][0];
+            expected[h] += square[0] * passes * passes;
         }
     }
     work->gains_differ = 0;
@@ -1219,17 +1383,16 @@ static void withhold_imprecise(zygos_solver_t *work, bool full, zygos_estimate_t
         imprecise = imprecise || !is_precise(work, out, i, ZYGOS_SIGMA_LIMIT);
     }
     if (imprecise && full) {
-        double *without = work->without;
-        scaled_equations(work, p, NULL, work->noise_scale);
+        uint32_t rank[2];
+        equations_of_all(work, p, p, work->noise_scale, work->noise_scale);
         for (uint32_t i = 0; i < effects; i++) {
-            if (is_precise(work, out, i, ZYGOS_SIGMA_LIMIT)) {
-                continue;
+            if (!is_precise(work, out, i, ZYGOS_SIGMA_LIMIT)) {
+                hold(work, p, i, 0.0);
             }
-            hold(work, p, i, 0.0);
         }
-        solve_once(work, p, factorise(work, p, p), without);
+        solve_both(work, p, rank);
         for (uint32_t i = 0; i < p; i++) {
-            const double shift = without[i] - out->value[i];
+            const double shift = work->change[i][0] - out->value[i];
             out->sigma[i] = root(out->sigma[i] * out->sigma[i] + shift * shift);
             out->covariance[at(i, i)] += shift * shift;
         }
@@ -1312,23 +1475,23 @@ static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t en
         work->arcs.end++;
     }
     choose_momenta(work, after, (end == sums->store.closed) ? work->sums->cycle : until);
-    memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
+    memset(work->total, 0, at(p + 1u, 0) * sizeof work->total[0]);
     work->instants = 0.0;
     work->joints_alone = 0;
     work->joints_weight = 0.0;
     work->joints_used = ((first == 0) && (end == sums->store.closed)) ? 1u : 0u;
     for (uint32_t b = 0; b < sums->store.closed; b++) {
-        all += zygos_accumulator_at(sums, b)->head.total;
-        for (uint32_t k = 0; (k < at(p + 2u, 0)) && (b >= first) && (b < end); k++) {
-            work->total[k] += zygos_accumulator_at(sums, b)->gram[k];
+        const zygos_block_t *block = zygos_accumulator_at(sums, b);
+        all += block->head.total;
+        if ((b >= first) && (b < end)) {
+            increase(work->total, block->gram, 1.0, at(p + 1u, 0));
+            work->instants += block->head.total;
         }
-        work->instants += ((b >= first) && (b < end)) ? zygos_accumulator_at(sums, b)->head.total : 0.0;
     }
     work->spread = work->total[at(p, p)];
     work->noise_fraction = (all > 0.0) ? work->instants / all : 0.0;
-    for (uint32_t k = 0; k < at(p + 1u, 0); k++) {
-        work->noise[k] = work->noise_fraction * sums->noise_closed.gram[k];
-    }
+    memset(work->noise, 0, at(p + 1u, 0) * sizeof work->noise[0]);
+    increase(work->noise, sums->noise_closed.gram, work->noise_fraction, at(p + 1u, 0));
 }
 
 /* The same for a solution of its own: the weights of all rows follow from it. */
@@ -1349,18 +1512,18 @@ static void choose_joints(zygos_solver_t *work, uint32_t p, uint32_t first, uint
     work->arcs.end = 0;
     work->momenta.first = 0;
     work->momenta.end = 0;
-    memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
+    memset(work->total, 0, at(p + 1u, 0) * sizeof work->total[0]);
     memset(work->noise, 0, at(p + 1u, 0) * sizeof work->noise[0]);
     work->instants = 0.0;
     work->joints_alone = 1;
     work->joints_used = 1;
     work->joints_weight = 1.0;
     for (uint32_t g = first; g < end; g++) {
-        embed_joints(sums->group[g].gram, group_factor(work, g), p, work->total);
+        increase(work->total, sums->group[g].gram, group_factor(work, g), at(p + 1u, 0));
         work->instants += sums->fade[g] * sums->count[g];
     }
     const double all = zygos_joint_sums_rows(sums);
-    embed_joints(sums->noise.gram, (all > 0.0) ? work->instants / all : 0.0, p, work->noise);
+    increase(work->noise, sums->noise.gram, (all > 0.0) ? work->instants / all : 0.0, at(p + 1u, 0));
     work->spread = work->total[at(p, p)];
     work->noise_fraction = 1.0;
 }
@@ -1377,7 +1540,7 @@ static uint32_t groups_of(const zygos_joint_sums_t *sums)
 
 /* Solves the energy rows of the chosen blocks, weighs the motor rows beside them unless they have weights, and scales
    the sums of both. Returns their rank. */
-static uint32_t with_motors(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
+static uint32_t with_motors(zygos_solver_t *work, uint32_t p)
 {
     const uint32_t rank = begin(work, p);
     const bool others =
@@ -1389,8 +1552,7 @@ static uint32_t with_motors(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
     double weight[ZYGOS_MAX_JOINTS];
     memcpy(weight, work->weight, sizeof weight);
     memset(work->weight, 0, sizeof work->weight);
-    choose_noise_scale(work, p, rank, out);
-    (void)solve_with(work, p, rank, work->noise_scale, work->solution);
+    (void)solve_beside_noise(work, p, rank, NULL);
     double explained = 0.0;
     work->alone = energy_left(work, p, work->solution, &explained);
     memcpy(work->weight, weight, sizeof weight);
@@ -1401,7 +1563,7 @@ static uint32_t with_motors(zygos_solver_t *work, uint32_t p, zygos_estimate_t *
 /* Weighs the momentum rows of the chosen blocks unless they have a weight, by what the declared noise makes of a row of
    either kind at the solution so far, and scales the sums of all rows. Returns their rank. Rows of fewer than three
    arcs are left out, and without declared noise all. */
-static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank)
 {
     const zygos_momentum_sums_t *sums = &work->sums->momentum;
     if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_MIN_ARCS)) {
@@ -1419,8 +1581,7 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, z
     work->momentum_weight = 0.0;
     if (!(weight > 0.0)) {
         double energy = 0.0;
-        choose_noise_scale(work, p, rank, out);
-        (void)solve_with(work, p, rank, work->noise_scale, work->solution);
+        (void)solve_beside_noise(work, p, rank, NULL);
         (void)energy_left(work, p, work->solution, &energy);
         const double noise = momentum_form(work, &sums->noise_closed, work->solution) / all;
         weight = (noise > 0.0) ? energy / work->instants / (MOMENTUM_CORRELATION * noise) : 0.0;
@@ -1429,9 +1590,9 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, z
         work->momenta.end = work->momenta.first;
     }
     for (uint32_t b = work->momenta.first; b < work->momenta.end; b++) {
-        embed_momentum(work, zygos_momentum_sums_at(sums, b)->rows.gram, weight, NULL, work->total);
+        embed_momentum(work, zygos_momentum_sums_at(sums, b)->rows.gram, weight, work->total, 1u);
     }
-    embed_momentum(work, sums->noise_closed.gram, weight * chosen / all, NULL, work->noise);
+    embed_momentum(work, sums->noise_closed.gram, weight * chosen / all, work->noise, 1u);
     work->momentum_weight = weight;
     return begin(work, p);
 }
@@ -1440,7 +1601,7 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank, z
    residual of the joint rows: first as declared at the solution so far, then as it is at the solution with them. Scales
    the sums of all rows. Returns their rank. Where parts of the arcs are chosen they are left out, for the groups belong
    to the whole run. */
-static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank)
 {
     const zygos_joint_sums_t *sums = &work->sums->joints;
     if ((rank == 0) || (work->joints_used == 0) || (sums->width == 0) || (groups_of(sums) < ZYGOS_MIN_GROUPS)) {
@@ -1454,8 +1615,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
     }
     for (uint32_t round = 0; round < 2u; round++) {
         double explained = 0.0;
-        choose_noise_scale(work, p, now, out);
-        (void)solve_with(work, p, now, work->noise_scale, work->solution);
+        (void)solve_beside_noise(work, p, now, NULL);
         (void)energy_left(work, p, work->solution, &explained);
         double square = form(sums->noise.gram, work->solution, p);
         for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (round > 0); g++) {
@@ -1468,9 +1628,9 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
         }
         const double more = weight - weighed;
         for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-            embed_joints(sums->group[g].gram, more * sums->fade[g], p, work->total);
+            increase(work->total, sums->group[g].gram, more * sums->fade[g], at(p + 1u, 0));
         }
-        embed_joints(sums->noise.gram, more, p, work->noise);
+        increase(work->noise, sums->noise.gram, more, at(p + 1u, 0));
         weighed = weight;
         work->joints_weight = weight;
         now = begin(work, p);
@@ -1479,16 +1639,16 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank, zyg
 }
 
 /* Weighs all rows of the chosen blocks, and scales their sums. Returns their rank. */
-static uint32_t combine(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
+static uint32_t combine(zygos_solver_t *work, uint32_t p)
 {
     if (work->joints_alone) {
         return begin(work, p);
     }
-    return with_joints(work, p, with_momentum(work, p, with_motors(work, p, out), out), out);
+    return with_joints(work, p, with_momentum(work, p, with_motors(work, p)));
 }
 
 /* The same of the joint rows: by the sums of each joint's residuals in a segment. */
-static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
+static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, double residual, double *share)
 {
     const zygos_joint_sums_t *sums = &work->sums->joints;
     const double apart = form(sums->joints.gram, work->solution, p);
@@ -1496,25 +1656,7 @@ static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, const zy
     /* Each sum is divided by the root of twice its number of rows. */
     const double rows = (sums->joint_sums > 0.0) ? work->instants / sums->joint_sums : 1.0;
     *share = (work->spread > 0.0) ? root(2.0 * squares / rows * work->instants / work->spread) : 0.0;
-    return squares / (out->residual * out->residual);
-}
-
-/* Whether the residuals of the chosen energy rows are noise: see ZYGOS_CLUSTER_LIMIT. Writes residual, noise_ratio and
-   cluster. */
-static bool closes(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
-{
-    double explained = 0.0;
-    double share = 0.0;
-    const double unexplained = energy_left(work, p, work->solution, &explained);
-    out->residual = root(unexplained / work->instants);
-    out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
-    out->cluster = 0.0;
-    if (out->residual > 0.0) {
-        out->cluster =
-            work->joints_alone ? cluster_of_joints(work, p, out, &share) : cluster(work, p, out->residual, &share);
-    }
-    const double least = work->joints_alone ? ZYGOS_JOINT_CLUSTER_SHARE : ZYGOS_CLUSTER_SHARE;
-    return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= least);
+    return squares / (residual * residual);
 }
 
 /* What the noise of the torques, which walks in the work of an arc, adds to the statistic of cluster(), times the mean
@@ -1535,6 +1677,46 @@ static double walk_in_clusters(const zygos_solver_t *work)
         weights = last ? 0.0 : weights;
     }
     return sum / (double)(work->blocks.end - work->blocks.first);
+}
+
+/* What the solution leaves over of the energy rows; or of the joint rows where they alone are solved. */
+typedef struct {
+    double square;    /* squared residuals, including noise [J^2] */
+    double explained; /* the part of the declared noise in them */
+    double cluster;   /* see ZYGOS_CLUSTER_LIMIT */
+    double share;     /* see cluster() */
+    double walk;      /* what the noise of the torques adds to the cluster statistic; 0 of joint rows */
+} residuals_t;
+
+static residuals_t residuals_of(const zygos_solver_t *work, uint32_t p)
+{
+    residuals_t out = { .share = 0.0 };
+    out.square = energy_left(work, p, work->solution, &out.explained);
+    const double residual = root(out.square / work->instants);
+    if ((residual > 0.0) && (work->joints_alone != 0)) {
+        out.cluster = cluster_of_joints(work, p, residual, &out.share);
+    } else if (residual > 0.0) {
+        out.cluster = cluster(work, p, residual, &out.share);
+        out.walk = walk_in_clusters(work) / (residual * residual);
+    }
+    return out;
+}
+
+/* Whether the residuals are noise: see ZYGOS_CLUSTER_LIMIT. Writes residual, noise_ratio and cluster. */
+static bool report_residuals(const zygos_solver_t *work, const residuals_t *left, zygos_estimate_t *out)
+{
+    const double least = work->joints_alone ? ZYGOS_JOINT_CLUSTER_SHARE : ZYGOS_CLUSTER_SHARE;
+    out->residual = root(left->square / work->instants);
+    out->noise_ratio = (left->explained > 0.0) ? left->square / left->explained : not_a_number();
+    out->cluster = left->cluster;
+    return (left->cluster <= ZYGOS_CLUSTER_LIMIT) || (left->share <= least);
+}
+
+/* The same of what was solved last. */
+static bool closes(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    const residuals_t left = residuals_of(work, p);
+    return report_residuals(work, &left, out);
 }
 
 /* Sum of the squares of a joint's motor rows that no values of their own parameters explain: what is left of the right
@@ -1576,7 +1758,6 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
     double gram[ZYGOS_MAX_PACKED_IMPULSE + ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
     double x[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
     double instants = 0.0;
-    double noise = 0.0;
     if ((count == 0) || !(work->weight[i] > 0.0)) {
         return false;
     }
@@ -1586,14 +1767,7 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
         }
         instants += zygos_motor_sums_at(sums, b)->instants[i];
     }
-    for (uint32_t a = 0; a < count; a++) {
-        x[a] = work->solution[place_of(work, i, a)];
-    }
-    for (uint32_t a = 0; a < count; a++) {
-        for (uint32_t b = 0; b < count; b++) {
-            noise += instants * x[a] * x[b] * entry(sums->noise[i], a, b);
-        }
-    }
+    const double noise = instants * motor_noise(work, i, x);
     const double together = form(gram, x, count);
     const double squares = gram[at(count, count)];
     /* The gain's column, the last one, is the right side with the other sign. */
@@ -1611,112 +1785,94 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
     return disturbed(together - alone, alone + noise, least * allowed, squares);
 }
 
-/* How well the solution fits: the squared residuals of the energy rows, and what the noise of the torques adds. */
-typedef struct {
-    double left;
-    double walked; /* walk_in_clusters() */
-    bool good;
-} fit_t;
-
 /* Whether the solution fits all rows: no kind leaves over more than alone, and residuals do not add up in a block. It
    takes no declared noise of angles and rates. alone: squared residuals of the energy rows solved alone; 0 where there
    are no others. Where joint rows alone are solved, nothing is judged. */
-static fit_t fit_of(const zygos_solver_t *work, uint32_t p, double alone)
+static bool fits(const zygos_solver_t *work, uint32_t p, const residuals_t *left, double alone)
 {
-    double explained = 0.0;
-    fit_t out = { .left = 0.0, .walked = 0.0, .good = true };
-    if (work->joints_alone != 0) {
-        return out;
+    const double walk = left->walk;
+    if ((work->joints_alone != 0) || !(left->square > 0.0) || (walk > 1.0)) {
+        return true;
     }
-    out.left = energy_left(work, p, work->solution, &explained);
-    if (!(out.left > 0.0)) {
-        return out;
-    }
-    double share = 0.0;
-    const double square = out.left / work->instants;
-    out.walked = walk_in_clusters(work);
-    const double walk = out.walked / square;
-    if (walk > 1.0) {
-        return out;
-    }
-    out.good = (cluster(work, p, root(square), &share) <= ZYGOS_MISFIT_CLUSTER * (1.0 + walk)) ||
-               (share <= ZYGOS_MISFIT_CLUSTER_SHARE);
-    out.good = out.good && !energy_disturbed(work, p, out.left, alone, 1.0 + walk);
+    bool good = (left->cluster <= ZYGOS_MISFIT_CLUSTER * (1.0 + walk)) || (left->share <= ZYGOS_MISFIT_CLUSTER_SHARE);
+    good = good && !energy_disturbed(work, p, left->square, alone, 1.0 + walk);
     for (uint32_t i = 0; i < work->sums->config.joints; i++) {
-        out.good = out.good && !motors_disturbed(work, i, 1.0 + walk);
+        good = good && !motors_disturbed(work, i, 1.0 + walk);
     }
-    return out;
+    return good;
 }
 
 /* Weighs all rows. Where gains are held while that is done, it judges whether the rows fit, gives the gains their
    priors, and weighs the rows again. Scales their sums, and returns their rank; 0: nothing is determined. */
 static uint32_t weigh(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
-    const uint32_t rank = combine(work, p, out);
+    const uint32_t rank = combine(work, p);
     if ((rank == 0) || (work->gains_held == 0)) {
         return rank;
     }
-    choose_noise_scale(work, p, rank, out);
-    (void)solve_with(work, p, rank, work->noise_scale, work->solution);
-    work->fits = fit_of(work, p, work->alone).good ? 1u : 0u;
+    (void)solve_beside_noise(work, p, rank, NULL);
+    const residuals_t left = residuals_of(work, p);
+    work->fits = fits(work, p, &left, work->alone) ? 1u : 0u;
     release_gains(work, p, rank, out->covariance);
     if (work->joints_alone != 0) {
         return begin(work, p);
     }
     /* Weights follow from a solution, and one with held gains may have been far off. */
     choose_anew(work, p, work->blocks.first, work->blocks.end);
-    return combine(work, p, out);
+    return combine(work, p);
 }
 
 /* The same where the rows tell gains from 0, for which the energy rows alone have to be solved with these gains. It
-   ends the use of the sums. */
-static bool fits_with_gains(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
+   ends the use of the sums. left: of the solution. */
+static bool fits_with_gains(zygos_solver_t *work, uint32_t p, const residuals_t *left)
 {
     double explained = 0.0;
     if (work->joints_alone != 0) {
         return true;
     }
-    const fit_t fit = fit_of(work, p, 0.0);
-    const double walk = fit.walked * work->instants / fit.left;
+    const bool good = fits(work, p, left, 0.0);
     for (uint32_t g = 0; g < work->gains; g++) {
         work->gain_value[g] = work->solution[p - work->gains + g];
     }
     work->gains_held = 1;
     choose_anew(work, p, work->blocks.first, work->blocks.end);
-    const double signal_to_noise = out->signal_to_noise;
-    const uint32_t rank = begin(work, p);
-    choose_noise_scale(work, p, rank, out);
-    (void)solve_with(work, p, rank, work->noise_scale, work->solution);
-    out->signal_to_noise = signal_to_noise;
+    (void)solve_beside_noise(work, p, begin(work, p), NULL);
     const double alone = energy_left(work, p, work->solution, &explained);
-    return fit.good && ((walk > 1.0) || !energy_disturbed(work, p, fit.left, alone, 1.0 + walk));
+    return good && ((left->walk > 1.0) || !energy_disturbed(work, p, left->square, alone, 1.0 + left->walk));
 }
+
+/* A solution, and what its estimate is judged by. */
+typedef struct {
+    residuals_t left;
+    double inverse; /* 1-norm of the inverse of the scaled matrix */
+    double excess;  /* squared residuals that no subtracted noise explains */
+    double hidden;  /* noise_square() of them */
+    uint32_t rank;
+    uint32_t known; /* number of parameters with a value */
+    bool full;      /* whether the rank is, but for effects */
+    bool closed;
+    bool noisy; /* whether the signal-to-noise ratio is below its limit */
+} solved_t;
 
 /* What tells whether the residuals of a solution are those of bad arcs. */
 typedef struct {
     double noise_ratio;
     double cluster;
-} residuals_t;
+} suspect_t;
 
 /* Whether a solution without old arcs has far smaller residuals than that of all arcs. */
-static bool far_smaller(const zygos_estimate_t *out, const residuals_t *all)
+static bool far_smaller(const zygos_estimate_t *out, const suspect_t *all)
 {
     return (CORRUPTED_RATIO * out->noise_ratio < all->noise_ratio) ||
            (ZYGOS_CLUSTER_LIMIT * out->cluster < all->cluster);
 }
 
-/* Solves the blocks from the given one on, with which an arc begins. all: null, or the residuals with all blocks; then
-   there is no answer where these are not far smaller, or where the balance does not close: it would not be used, and
-   the standard deviations are most of the cost. */
-static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t first, const residuals_t *all)
+/* Begins the estimate from the given block on, with which an arc begins: what it is made of. */
+static void describe(const zygos_solver_t *work, uint32_t first, zygos_estimate_t *out)
 {
     const zygos_accumulator_t *sums = &work->sums->energy;
-    const uint32_t p = work->column_map.parameters;
-    const uint32_t effects = work->column_map.reduced;
     double before = 0.0;
     memset(out, 0, sizeof *out);
-    work->gains_held = (work->gains > 0) ? 1u : 0u;
-    memset(work->gain_value, 0, sizeof work->gain_value);
     memcpy(out->left_out, work->sums->guard.left_out, sizeof out->left_out);
     for (uint32_t b = 0; b < first; b++) {
         before += zygos_accumulator_at(sums, b)->head.total;
@@ -1725,7 +1881,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     }
     out->cycle = work->sums->cycle;
     out->refused = sums->refused;
-    out->parameters = p;
+    out->parameters = work->column_map.parameters;
     out->accepted = zygos_store_accepted(&sums->store) - (uint64_t)(before + 0.5);
     out->arcs = sums->store.arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->sums->guard.left_out[ZYGOS_ENERGY_ROWS]);
     out->blocks = sums->store.closed - first;
@@ -1737,123 +1893,172 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     }
     out->since = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->head.end : 0u;
     out->consecutive = work->sums->guard.consecutive[ZYGOS_ENERGY_ROWS];
+}
+
+/* Chooses the rows of the estimate. Returns the reason for which there are too few, if they are. */
+static uint32_t choose_from(zygos_solver_t *work, uint32_t p, uint32_t first, const zygos_estimate_t *out)
+{
     const bool joints = zygos_joint_sums_suffice(&work->sums->config);
+    work->gains_held = (work->gains > 0) ? 1u : 0u;
+    memset(work->gain_value, 0, sizeof work->gain_value);
     if (joints) {
         choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     } else {
-        choose_anew(work, p, first, sums->store.closed);
+        choose_anew(work, p, first, work->sums->energy.store.closed);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
     if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
         (out->blocks < (joints ? ZYGOS_MIN_GROUPS : (uint32_t)ZYGOS_MIN_BLOCKS))) {
         /* A refused instant costs a whole increment, so that no row may be left of a fast motion. */
-        const bool fast = joints && (out->refused > out->accepted);
-        return refuse(out, p, fast ? ZYGOS_REASON_TOO_FAST : ZYGOS_REASON_NO_DATA);
+        return (joints && (out->refused > out->accepted)) ? ZYGOS_REASON_TOO_FAST : ZYGOS_REASON_NO_DATA;
     }
-    const uint32_t rank = weigh(work, p, out);
-    out->rank = rank;
-    if (rank == 0) {
-        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+    return ZYGOS_REASON_NONE;
+}
+
+/* Solves the chosen rows. Returns the reason for which there is no solution, if there is none. */
+static uint32_t solve_chosen_rows(zygos_solver_t *work, uint32_t p, solved_t *found, zygos_estimate_t *out)
+{
+    found->rank = weigh(work, p, out);
+    out->rank = found->rank;
+    if (found->rank == 0) {
+        return ZYGOS_REASON_NOT_IDENTIFIABLE;
     }
-    mark_identifiable(work, p, rank, out);
-    bool full = true; /* but for effects */
-    for (uint32_t d = rank; d < p; d++) {
-        full = full && (work->pivot[d] >= effects);
+    mark_identifiable(work, p, found->rank, out);
+    found->full = true;
+    for (uint32_t d = found->rank; d < p; d++) {
+        found->full = found->full && (work->pivot[d] >= work->column_map.reduced);
     }
-    choose_noise_scale(work, p, rank, out);
-    double inverse = 0.0;
-    if (solve_with(work, p, rank, work->noise_scale, work->solution) < rank) {
-        return refuse(out, p, ZYGOS_REASON_NOISE);
+    if (solve_beside_noise(work, p, found->rank, &out->signal_to_noise) < found->rank) {
+        return ZYGOS_REASON_NOISE;
     }
+    found->left = residuals_of(work, p);
     if (work->gains == 0) {
-        work->fits = fit_of(work, p, work->alone).good ? 1u : 0u;
+        work->fits = fits(work, p, &found->left, work->alone) ? 1u : 0u;
     }
-    out->condition = condition(work, rank, &inverse);
+    found->inverse = invert(work, p, work->inverse);
+    out->condition = found->inverse * norm_of(work, p, found->rank);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
-    const bool closed = closes(work, p, out);
-    if ((all != NULL) && (!closed || !far_smaller(out, all))) {
-        return refuse(out, p, ZYGOS_REASON_UNCLOSED);
+    found->closed = report_residuals(work, &found->left, out);
+    found->noisy = !(out->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
+    return ZYGOS_REASON_NONE;
+}
+
+/* The reason for which a solution does not tell the parameters. */
+static uint32_t unidentified(const solved_t *found)
+{
+    if (!found->closed) {
+        return ZYGOS_REASON_UNCLOSED;
     }
-    double explained = 0.0;
-    const double unexplained = energy_left(work, p, work->solution, &explained);
-    if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
+    return found->noisy ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;
+}
+
+/* Returns the reason for which the residuals of a solution are too large, if they are. */
+static uint32_t judge_residuals(const zygos_solver_t *work, uint32_t p, solved_t *found, const zygos_estimate_t *out)
+{
+    if (!(found->left.square < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
         /* The residuals are no noise, so the arm moved. A torque whose sign follows the motion adds up to nothing in a
            segment of joint rows; it shows in that much more is left than the declared noise, of a motion that is no
            noise. */
-        const bool louder = work->joints_alone && (out->noise_ratio > NOISE_EXCEEDED) &&
-                            (out->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
-        return refuse(out, p, (closed && !louder) ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNEXPLAINED);
+        const bool louder = work->joints_alone && (out->noise_ratio > NOISE_EXCEEDED) && !found->noisy;
+        return (found->closed && !louder) ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNEXPLAINED;
     }
-    const bool noisy = !(out->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
-    const uint32_t unidentified = noisy ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;
     /* What joint rows leave over is in their right side, as the noise of torques is. */
-    const double excess = unexplained - (joints ? unexplained : work->noise_scale * explained);
-    const double noise = noise_square(work, p, (excess > 0.0) ? excess : 0.0);
-    if (!(noise * inverse <= ZYGOS_NOISE_LIMIT)) {
-        return refuse(out, p, closed ? unidentified : ZYGOS_REASON_UNCLOSED);
+    const double subtracted = work->joints_alone ? found->left.square : work->noise_scale * found->left.explained;
+    found->excess = (found->left.square > subtracted) ? found->left.square - subtracted : 0.0;
+    found->hidden = noise_square(work, p, found->excess);
+    return (found->hidden * found->inverse <= ZYGOS_NOISE_LIMIT) ? ZYGOS_REASON_NONE : unidentified(found);
+}
+
+/* Writes the standard deviations and the intervals, and withholds what is not identifiable. Returns the reason for
+   which most is not, if it is. */
+static uint32_t write_sigmas(zygos_solver_t *work, uint32_t p, solved_t *found, zygos_estimate_t *out)
+{
+    const uint32_t effects = work->column_map.reduced;
+    jackknife(work, p, found->rank, out->covariance);
+    add_common_error(work, p, (found->excess > 0.0) ? found->excess / found->left.square : 0.0, out);
+    if (work->joints_alone == 0) {
+        add_torque_noise(work, p, out->covariance);
     }
-    inverse_diagonal(work, p, rank, work->inverse);
-    jackknife(work, p, rank, out->covariance);
-    add_common_error(work, p, (excess > 0.0) ? excess / unexplained : 0.0, out);
-    if (!joints) {
-        add_torque_noise(work, p, rank, out->covariance);
-    }
-    add_prior(work, p, rank, out->covariance);
-    shift_by_noise(work, p, noise);
-    if (noisy) {
-        /* The error by the noise that could not be subtracted. */
-        (void)solve_with(work, p, rank, 0.0, work->without);
-        for (uint32_t i = 0; i < p; i++) {
-            const double shift = work->without[i] - work->solution[i];
-            work->noise_shift[i] = root(work->noise_shift[i] * work->noise_shift[i] + shift * shift);
-        }
-    }
+    add_prior(work, p, out->covariance);
+    shift_by_noise(work, p, found->hidden, found->noisy);
     widen(work, p, out);
     measure(work);
-
-    withhold_imprecise(work, full, out);
-    uint32_t known = 0;
+    withhold_imprecise(work, found->full, out);
+    found->known = 0;
     for (uint32_t i = 0; i < effects; i++) {
-        known += out->identifiable[i];
+        found->known += out->identifiable[i];
     }
-    if (4u * known < effects) {
-        return refuse(out, p, closed ? unidentified : ZYGOS_REASON_UNCLOSED);
+    if (4u * found->known < effects) {
+        return unidentified(found);
     }
     write_intervals(work, p, out);
     for (uint32_t i = effects; i < p; i++) {
         if (!out->identifiable[i] || !(out->sigma[i] < infinity())) {
             withhold(out, i, p);
         }
-        known += out->identifiable[i];
+        found->known += out->identifiable[i];
     }
-    const bool fit = (work->gains_seen > 0) ? fits_with_gains(work, p, out) : (work->fits != 0);
-    out->validity = ZYGOS_VALID;
-    const double instants = (double)(out->accepted + out->refused);
-    if ((double)out->refused > MAX_REFUSED_SHARE * instants) {
-        out->validity = ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_TOO_FAST;
-    } else if (!physical(work, out)) {
-        out->validity = ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_NOT_PHYSICAL;
-    } else if (!closed || (!fit && !noisy && (known == p))) {
-        out->validity = ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_UNCLOSED;
-    } else if (work->sums->guard.changed != 0) {
-        out->validity = ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_CHANGED;
-    } else if (work->gains_differ > 0) {
-        out->validity = ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_GAIN;
-    } else if (out->noise_ratio < ZYGOS_NOISE_ABSENT) {
-        out->validity = ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_DECLARED;
-    } else if (noisy) {
-        out->validity = (known < p) ? ZYGOS_PARTIAL : ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_NOISE;
-    } else if (known < p) {
-        out->validity = ZYGOS_PARTIAL;
-        out->reason = ZYGOS_REASON_NOT_IDENTIFIABLE;
+    return ZYGOS_REASON_NONE;
+}
+
+/* Why an estimate is doubtful, if it is. */
+static uint32_t doubt(zygos_solver_t *work, uint32_t p, const solved_t *found, const zygos_estimate_t *out)
+{
+    const bool sound = physical(work, out);
+    const bool fit = (work->gains_seen > 0) ? fits_with_gains(work, p, &found->left) : (work->fits != 0);
+    if ((double)out->refused > MAX_REFUSED_SHARE * (double)(out->accepted + out->refused)) {
+        return ZYGOS_REASON_TOO_FAST;
+    }
+    if (!sound) {
+        return ZYGOS_REASON_NOT_PHYSICAL;
+    }
+    if (!found->closed || (!fit && !found->noisy && (found->known == p))) {
+        return ZYGOS_REASON_UNCLOSED;
+    }
+    if (work->sums->guard.changed != 0) {
+        return ZYGOS_REASON_CHANGED;
+    }
+    if (work->gains_differ > 0) {
+        return ZYGOS_REASON_GAIN;
+    }
+    return (out->noise_ratio < ZYGOS_NOISE_ABSENT) ? ZYGOS_REASON_DECLARED : ZYGOS_REASON_NONE;
+}
+
+/* Solves the blocks from the given one on, with which an arc begins. all: null, or what the solution of all blocks has;
+   then there is no answer where the residuals are not far smaller, or where the balance does not close: it would not be
+   used, and the standard deviations are most of the cost. */
+static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t first, const suspect_t *all)
+{
+    const uint32_t p = work->column_map.parameters;
+    solved_t found = { .rank = 0 };
+    describe(work, first, out);
+    uint32_t reason = choose_from(work, p, first, out);
+    if (reason == (uint32_t)ZYGOS_REASON_NONE) {
+        reason = solve_chosen_rows(work, p, &found, out);
+    }
+    if ((reason == (uint32_t)ZYGOS_REASON_NONE) && (all != NULL) && (!found.closed || !far_smaller(out, all))) {
+        reason = ZYGOS_REASON_UNCLOSED;
+    }
+    if (reason == (uint32_t)ZYGOS_REASON_NONE) {
+        reason = judge_residuals(work, p, &found, out);
+    }
+    if (reason == (uint32_t)ZYGOS_REASON_NONE) {
+        reason = write_sigmas(work, p, &found, out);
+    }
+    if (reason != (uint32_t)ZYGOS_REASON_NONE) {
+        return refuse(out, p, reason);
+    }
+    out->reason = doubt(work, p, &found, out);
+    out->validity = (out->reason != (uint32_t)ZYGOS_REASON_NONE) ? ZYGOS_DOUBTFUL : ZYGOS_VALID;
+    if (out->validity == (uint32_t)ZYGOS_VALID) {
+        if (found.noisy) {
+            out->validity = (found.known < p) ? ZYGOS_PARTIAL : ZYGOS_DOUBTFUL;
+            out->reason = ZYGOS_REASON_NOISE;
+        } else if (found.known < p) {
+            out->validity = ZYGOS_PARTIAL;
+            out->reason = ZYGOS_REASON_NOT_IDENTIFIABLE;
+        }
     }
     return 1;
 }
@@ -1895,11 +2100,15 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
     return (first + ZYGOS_MIN_BLOCKS <= sums->store.closed) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
-/* Vectors of the solver, and those of an estimate that is put aside, beside which one has its flags. */
-#define VECTORS 15u
+/* Couples of vectors of the solver, whose entries lie side by side, and vectors; and those of an estimate that is put
+   aside, beside which one has its flags. */
+#define COUPLES 4u
+#define VECTORS 10u
 #define ASIDE 4u
-_Static_assert(VECTORS + ASIDE + 1u <= ZYGOS_ROW_BUFFERS * ZYGOS_BUFFER_ROWS, "vectors without a place");
+_Static_assert(2u * COUPLES + VECTORS + ASIDE + 1u <= ZYGOS_ROW_BUFFERS * ZYGOS_BUFFER_ROWS, "vectors without a place");
+_Static_assert((ZYGOS_BUFFER_ROWS % 2u) == 0u, "a couple of vectors in two buffers");
 _Static_assert(ZYGOS_MAX_PACKED <= ZYGOS_MAX_PACKED_ROW, "a covariance without a place");
+_Static_assert(ZYGOS_MAX_NOISE_ROW > ZYGOS_MAX_PARAMETERS, "two systems of equations without a place");
 
 /* A vector of p entries, where rows wait otherwise: eight in a buffer. */
 static double *vector(zygos_accumulator_t *sums, uint32_t k)
@@ -1923,36 +2132,31 @@ static void borrow(zygos_solver_t *work)
     memset(work->gain_value, 0, sizeof work->gain_value);
     work->total = sums->buffer[0].gram;
     work->noise = sums->buffer[1].gram;
-    work->matrix = sums->buffer[2].gram;
-    work->factor = sums->noise_open[0].gram;
-    work->other_factor = sums->noise_open[1].gram;
-    double **vectors[VECTORS] = { &work->scale,
-                                  &work->right_side,
-                                  &work->solution,
-                                  &work->size,
-                                  &work->noise_shift,
-                                  &work->score,
-                                  &work->without,
-                                  &work->inverse,
-                                  &work->information[0],
-                                  &work->information[1],
-                                  &work->degrees_of_freedom,
-                                  &work->linearised_variance,
-                                  &work->product,
-                                  &work->linearised,
-                                  &work->prior_variance };
+    work->factor = sums->buffer[2].gram;
+    work->matrix = (double(*)[2])sums->noise_open;
+    double **vectors[VECTORS] = {
+        &work->scale,          &work->right_side,     &work->solution,           &work->inverse,
+        &work->information[0], &work->information[1], &work->degrees_of_freedom, &work->linearised_variance,
+        &work->product,        &work->prior_variance
+    };
+    work->pull = (double(*)[2])vector(sums, 0);
+    work->influence = (double(*)[2])vector(sums, 2u);
+    work->change = (double(*)[2])vector(sums, 4u);
+    work->column = (double(*)[2])vector(sums, 6u);
     for (uint32_t k = 0; k < VECTORS; k++) {
-        *vectors[k] = vector(sums, k);
+        *vectors[k] = vector(sums, 2u * COUPLES + k);
     }
+    work->size = vector(sums, 0);
+    work->noise_square = vector(sums, 1);
 }
 
-static void give_back(zygos_solver_t *work)
+static void give_back(const zygos_solver_t *work)
 {
-    zygos_accumulator_t *sums = &work->sums->energy;
-    for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        memset(sums->buffer[b].gram, 0, sizeof sums->buffer[b].gram);
-    }
-    memset(sums->noise_open, 0, sizeof sums->noise_open);
+    const uint32_t entries = at(work->column_map.parameters + 1u, 0);
+    memset(work->total, 0, entries * sizeof work->total[0]);
+    memset(work->noise, 0, entries * sizeof work->noise[0]);
+    memset(work->factor, 0, entries * sizeof work->factor[0]);
+    memset(work->matrix, 0, entries * sizeof work->matrix[0]);
 }
 
 /* The free block with the last place; there is one while fewer than all are in use. */
@@ -1966,28 +2170,26 @@ typedef struct {
     unsigned char byte[offsetof(zygos_estimate_t, identifiable)];
 } head_t;
 
+/* Copies what an estimate has to a place, or back. */
+static void carry(void *own, void *aside, size_t size, bool back)
+{
+    memcpy(back ? own : aside, back ? aside : own, size);
+}
+
 /* Puts an estimate aside, or takes it back: its vectors into the places behind those of the solver, its covariance into
    a free block. */
 static void put_aside(zygos_solver_t *work, zygos_estimate_t *out, head_t *head, bool back)
 {
+    zygos_accumulator_t *sums = &work->sums->energy;
     double *own[ASIDE] = { out->solution, out->value, out->sigma, out->half95 };
-    const size_t size = work->column_map.parameters * sizeof(double);
-    const size_t triangle = at(work->column_map.parameters, 0) * sizeof(double);
+    const uint32_t p = work->column_map.parameters;
+    const uint32_t first = 2u * COUPLES + VECTORS;
     for (uint32_t k = 0; k < ASIDE; k++) {
-        double *place = vector(&work->sums->energy, VECTORS + k);
-        memcpy(back ? own[k] : place, back ? place : own[k], size);
+        carry(own[k], vector(sums, first + k), p * sizeof(double), back);
     }
-    double *flags = vector(&work->sums->energy, VECTORS + ASIDE);
-    double *covariance = free_triangle(&work->sums->energy);
-    if (back) {
-        memcpy(out, head, sizeof *head);
-        memcpy(out->identifiable, flags, work->column_map.parameters * sizeof out->identifiable[0]);
-        memcpy(out->covariance, covariance, triangle);
-    } else {
-        memcpy(head, out, sizeof *head);
-        memcpy(flags, out->identifiable, work->column_map.parameters * sizeof out->identifiable[0]);
-        memcpy(covariance, out->covariance, triangle);
-    }
+    carry(out, head, sizeof *head, back);
+    carry(out->identifiable, vector(sums, first + ASIDE), p * sizeof out->identifiable[0], back);
+    carry(out->covariance, free_triangle(sums), at(p, 0) * sizeof(double), back);
 }
 
 /* Repeats the solution without old arcs where they may be bad. The solution of all arcs is put aside meanwhile, so that
@@ -2001,7 +2203,7 @@ static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
         (sums->store.count >= (uint32_t)ZYGOS_MAX_BLOCKS)) {
         return answer;
     }
-    const residuals_t all = { .noise_ratio = out->noise_ratio, .cluster = out->cluster };
+    const suspect_t all = { .noise_ratio = out->noise_ratio, .cluster = out->cluster };
     const int whole = answer;
     head_t head;
     uint32_t first = 0;
@@ -2060,9 +2262,8 @@ static bool solve_chosen(zygos_solver_t *work, uint32_t p, zygos_estimate_t *scr
     if (*rank == 0) {
         return false;
     }
-    choose_noise_scale(work, p, *rank, scratch);
-    return (scratch->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE) &&
-           (solve_with(work, p, *rank, work->noise_scale, work->solution) == *rank);
+    return (solve_beside_noise(work, p, *rank, &scratch->signal_to_noise) == *rank) &&
+           (scratch->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
 }
 
 /* The residuals of the energy rows of the chosen blocks: mean square, and ratio to the declared noise. */
@@ -2101,12 +2302,12 @@ static bool solve_before(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out
     if (!solve_chosen(work, p, out, &rank) || (rank < p)) {
         return false;
     }
-    inverse_diagonal(work, p, rank, work->inverse);
+    (void)invert(work, p, work->inverse);
     jackknife(work, p, rank, out->covariance);
     if (work->joints_alone == 0) {
-        add_torque_noise(work, p, rank, out->covariance);
+        add_torque_noise(work, p, out->covariance);
     }
-    add_prior(work, p, rank, out->covariance);
+    add_prior(work, p, out->covariance);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
     for (uint32_t i = 0; i < p; i++) {
@@ -2126,7 +2327,7 @@ static bool solve_before(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out
 static void compare(zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, const double *scaled,
                     double *deviation)
 {
-    inverse_diagonal(work, p, p, work->inverse);
+    (void)invert(work, p, work->inverse);
     for (uint32_t i = 0; i < p; i++) {
         /* Noise is alike before and after; what differs is how well the motion tells of a parameter. */
         const double less = work->inverse[i] * work->scale[i] * work->scale[i] / scaled[i];

@@ -1,7 +1,8 @@
-"""What solutions cost by what their answer is: Cholesky factorisations and instructions, counted by callgrind.
+"""What solutions cost by what their answer is: pairs of Cholesky factorisations and instructions, counted by callgrind.
 
-Most of a solution are its factorisations. How many there are depends on the rows and on the answer, so that the dearest
-solution is found among states of all kinds: early and late, refused, with gains, with bad arcs, of a changed arm.
+Most of a solution are its factorisations, of which the solver makes two at a time. How many there are depends on the
+rows and on the answer, so that the dearest solution is found among states of all kinds: early and late, refused, with
+gains, with bad arcs, of a changed arm.
 """
 
 from __future__ import annotations
@@ -35,19 +36,19 @@ USUAL = "valid, after the whole run"
 SOLVED = ("paper", "spatial, joint rows")
 """Configurations whose solutions are counted: every case of the first, and some of the other, which has all kinds of
 rows."""
-ROUND, JOINT_ROUNDS = 4, 8
-"""Factorisations that weigh a kind of rows: two for the share of the noise, a solution, and the sums anew; joint rows
-beside others are weighed twice."""
+ROUND, JOINT_ROUNDS = 5, 10
+"""Pairs that weigh a kind of rows: a solution; where more than half of a combination of columns is noise, two for its
+share; and two for the scale of the noise. Joint rows beside others are weighed twice."""
 ARC_S = 10.0
 """Of the paper's arm here, so that there are several arcs."""
 PROGRAM = DRIVER.with_name("solve.c")
 _LIBRARY = flight._FOLDER / "libzygos.so"
-_FACTORISE = "factorise"
+_PAIR = "solve_both"
 
 
 @dataclass(frozen=True)
 class Bound:
-    """The most factorisations of a solution, as include/zygos/priv/solver.h states it at zygos_work_solve()."""
+    """The most pairs of factorisations of a solution, as include/zygos/priv/solver.h states at zygos_work_solve()."""
 
     energy: int
     """Blocks of energy rows."""
@@ -56,7 +57,7 @@ class Bound:
     groups: int
     """Of joint rows, where they take part."""
     weighing: int
-    """c: begin, and the rows of other kinds that are weighed beside the energy rows."""
+    """c: of the rows of other kinds that are weighed beside the energy rows."""
     gains: bool
     repeats: bool
     """Whether old arcs may be left out."""
@@ -64,17 +65,22 @@ class Bound:
     @property
     def once(self) -> int:
         """Of all arcs."""
-        return self.energy + self.others + self.groups + self._beside(self.weighing)
+        return _left_out(self.energy + self.others + self.groups) + self._beside(self.weighing)
 
     @property
     def most(self) -> int:
         """With those of the newest three quarters and of the newer half, in which joint rows take no part."""
-        newer = 2 * self.energy - self.energy // 4 - self.energy // 2
-        each = self.others + self._beside(self.weighing - (JOINT_ROUNDS if self.groups else 0))
-        return self.once + (newer + 2 * each if self.repeats else 0)
+        newer = (self.energy - self.energy // 4, self.energy - self.energy // 2)
+        beside = self._beside(self.weighing - (JOINT_ROUNDS if self.groups else 0))
+        return self.once + (sum(_left_out(one + self.others) + beside for one in newer) if self.repeats else 0)
 
     def _beside(self, weighing: int) -> int:
-        return 2 * weighing + 14 if self.gains else weighing + 6
+        return 2 * weighing + 17 if self.gains else weighing + 6
+
+
+def _left_out(blocks: int) -> int:
+    """Pairs of blocks that are left out."""
+    return (blocks + 1) // 2
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,8 @@ class Solution:
     reason: str
     left_out: bool
     """Whether it is that without old arcs."""
-    factorisations: int
+    pairs: int
+    """Of factorisations."""
     once: int
     """The bound of a solution of all arcs."""
     most: int
@@ -106,7 +113,7 @@ def bound(flown: Flight) -> Bound:
     )
     rows = [float(count) for count in work.sums.joints.count][:-1]
     joints = sum(rows) > 0.0
-    weighing = 1
+    weighing = 0
     if not joints_alone:
         weighing += ROUND * (motors + momenta > 0 or joints) + ROUND * (momenta > 0) + JOINT_ROUNDS * joints
     gains = any(effect.kind.key == "torque_gain" for effect in flown.effects)
@@ -223,7 +230,7 @@ def counted(name: str, folder: Path, only: Sequence[str] = ()) -> list[Solution]
                 VALIDITY[validity],
                 REASONS[reason],
                 bool(left_out),
-                part_of.calls[_FACTORISE],
+                part_of.calls[_PAIR],
                 most.once,
                 most.most,
                 part_of.of("zygos_work_solve"),

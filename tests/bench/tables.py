@@ -279,7 +279,7 @@ def _solutions(measured: dict[str, Any]) -> str:
         [
             f"{_title(one['configuration'], one['parameters'])}: {one['case']}",
             one["validity"] + (", without old arcs" if one["left_out"] else ""),
-            _number(one["factorisations"]),
+            _number(one["pairs"]),
             _number(one["most"]),
             _number(one["instructions"]),
             _ratio(one["instructions"], first[one["configuration"]]["instructions"]),
@@ -292,11 +292,12 @@ def _solutions(measured: dict[str, Any]) -> str:
         found.append(f"{title} {dearest(here, 'instructions'):.2f}")
     return (
         "\n### Dearest solution\n\n"
-        f"On x86-64, with the usual capacities, of {measured['zygos']}. *Factorisations* are of order p, and *at most* "
-        "is what `include/zygos/priv/solver.h` states for the blocks of this state. What is valid is adopted, so that "
-        "old arcs may be left out. The dearest solution, divided by the dearest valid one for as many parameters: "
+        f"On x86-64, with the usual capacities, of {measured['zygos']}. *Pairs* are pairs of factorisations of order "
+        "p, and *at most* is what `include/zygos/priv/solver.h` states for the blocks of this state. What is valid is "
+        "adopted, so that old arcs may be left out. The dearest solution, divided by the dearest valid one for as many "
+        "parameters: "
         f"{' · '.join(found)}.\n\n"
-        + _table(("state", "answer", "factorisations", "at most", "instructions", "relative to the first"), lines)
+        + _table(("state", "answer", "pairs", "at most", "instructions", "relative to the first"), lines)
     )
 
 

@@ -18,9 +18,9 @@ from zygos.native.flight import ffi
 
 WORST = 1.5
 """Most that the dearest solution takes of the dearest valid one for as many parameters."""
-FULL = 0.9
-"""Least share of its bound that the dearest solution of all arcs reaches: a bound that nothing comes near says
-nothing."""
+FULL = 0.6
+"""Least share of its bound that the dearest solution of all arcs reaches: a bound that nothing comes near says nothing.
+Rows are weighed by one pair in place of ROUND where less than half of them is noise, as here."""
 
 
 def need_tools() -> None:
@@ -32,11 +32,11 @@ def need_tools() -> None:
 def judge(found: list[Solution]) -> None:
     """What holds for every set of solutions that has a valid one."""
     for one in found:
-        assert 0 < one.factorisations <= one.most, one
-    for cost in ("factorisations", "instructions"):
+        assert 0 < one.pairs <= one.most, one
+    for cost in ("pairs", "instructions"):
         assert dearest([asdict(one) for one in found], cost) <= WORST, cost
     usual = next(one for one in found if one.case == USUAL)
-    assert usual.validity == "valid" and FULL * usual.once <= usual.factorisations <= usual.once
+    assert usual.validity == "valid" and FULL * usual.once <= usual.pairs <= usual.once
 
 
 def test_a_refused_solution_costs_hardly_more_than_a_valid_one(tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_a_refused_solution_costs_hardly_more_than_a_valid_one(tmp_path: Path) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVED)
-def test_no_solution_takes_more_factorisations_than_is_stated(name: str, tmp_path: Path) -> None:
+def test_no_solution_takes_more_than_is_stated(name: str, tmp_path: Path) -> None:
     """Early and late, refused, with gains, with bad arcs, of a changed arm."""
     need_tools()
     found = counted(name, tmp_path)
@@ -68,7 +68,7 @@ def test_what_was_measured_is_within_what_is_stated() -> None:
 
 def test_the_header_and_the_documents_state_the_same_bound() -> None:
     """That of all kinds of rows, with gains and old arcs; and of the capacities of this build."""
-    weighing = 1 + 2 * ROUND + JOINT_ROUNDS
+    weighing = 2 * ROUND + JOINT_ROUNDS
     once = Bound(0, 0, 0, weighing, gains=True, repeats=False).most
     newer = Bound(0, 0, 0, weighing - JOINT_ROUNDS, gains=True, repeats=False).most
     work = ffi.new("zygos_work_t *")
@@ -76,8 +76,8 @@ def test_the_header_and_the_documents_state_the_same_bound() -> None:
     groups = len(work.sums.joints.group) - 1
     full = Bound(len(work.sums.energy.block), others, groups, weighing, gains=True, repeats=True).most
     header = (ROOT / "include" / "zygos" / "priv" / "solver.h").read_text().replace("\n///", "")
-    whole = f"3 B + {once + 2 * newer}"
-    for text in (f"B + {once}", f"B + {newer}", f"{whole}, and {full} with the usual capacities"):
+    whole = f"3 (B + 1) / 2 + {once + 2 * newer}"
+    for text in (f"(B + 1) / 2 + {once}", f"(B + 1) / 2 + {newer}", f"{whole}, and {full} with the usual capacities"):
         assert text in header
     manual = (ROOT / "docs" / "integrate.md").read_text()
-    assert f"at most B + {once} Cholesky factorisations" in manual and whole in manual
+    assert f"at most (B + 1) / 2 + {once} pairs of Cholesky factorisations" in manual and whole in manual

@@ -92,25 +92,25 @@ extern "C" {
 /// members are not for reading.
 typedef struct {
     zygos_sums_t *sums;
-    double *total;  ///< Sums of all rows, weighted, without their noise.
-    double *noise;  ///< The noise that was subtracted.
-    double *matrix; ///< The scaled equations.
-    double *factor; ///< Their Cholesky factor.
-    double *other_factor;
+    double *total;       ///< Sums of all rows, weighted, without their noise.
+    double *noise;       ///< The noise that was subtracted.
+    double *factor;      ///< The Cholesky factor of the scaled equations of all rows.
+    double (*matrix)[2]; ///< Two systems of scaled equations side by side, or their factors; the size of two triangles.
     double *scale;
     double *right_side;
     double *solution;
-    double *size;
-    double *noise_shift;
-    double *score;
-    double *without; ///< Solution without one block, then its difference.
     double *inverse; ///< Diagonal of the inverse of the scaled matrix.
     double *information[2];
     double *degrees_of_freedom;
     double *linearised_variance;
     double *product;
-    double *linearised;
     double *prior_variance; ///< The part of each variance that the prior of the gains has.
+    double (*pull)[2];      ///< The scores of two blocks side by side,
+    double (*influence)[2]; ///< their influence on the solution,
+    double (*change)[2];    ///< and its change without them.
+    double (*column)[2];    ///< Scratch memory.
+    double *size;           ///< In place of pull, behind the jackknife.
+    double *noise_square;   ///< The same: squares of the errors that noise may hide.
     zygos_column_map_t column_map;
     double weight[ZYGOS_MAX_JOINTS]; ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;          ///< Weight of the momentum rows.
@@ -136,8 +136,7 @@ typedef struct {
     double instants;                      ///< Accepted instants in the blocks of energy rows.
     double noise_fraction;                ///< Their share of the noise of all closed arcs.
     double noise_scale;                   ///< Share of the declared noise that is subtracted.
-    uint32_t pivot[ZYGOS_MAX_PARAMETERS]; ///< Which column each row of factor is of.
-    uint32_t other_pivot[ZYGOS_MAX_PARAMETERS];
+    uint32_t pivot[ZYGOS_MAX_PARAMETERS]; ///< The columns, the independent ones first.
 } zygos_solver_t;
 
 /// A copy of the sums, and scratch memory of the solver. It is filled by zygos_arm_take() and consumed by
@@ -153,14 +152,16 @@ typedef struct {
 /// the answer, and out->since is the newest cycle that was excluded. Returns 1 when there are values, 0 when validity
 /// is ZYGOS_REFUSED, or ZYGOS_E_NULL.
 ///
-/// Cost: Cholesky factorisations of order p. B is the number of blocks of energy, motor and momentum rows, and with
-/// joint rows that take part also ZYGOS_JOINT_GROUPS; the jackknife needs one for each of them. To weigh the rows takes
-/// c = 1, and 4 more if other rows are beside energy rows, 4 more for momentum rows, and 8 more for joint rows beside
-/// energy rows. A solution needs at the most B + c + 6 factorisations, or B + 2 c + 14 if gains of torque sensors are
-/// estimated: never more than B + 48. Without old arcs there are at the most two more solutions, each of fewer energy
-/// blocks and without joint rows, so that they need at the most B + 32: together never more than 3 B + 112, and 336
-/// with the usual capacities. Their jackknife is left out unless the balance closes with far smaller residuals, so that
-/// a refused solution costs hardly more than a valid one (docs/cost.md).
+/// Cost: pairs of Cholesky factorisations of order p, with their solutions and inverses; two are made side by side. B
+/// is the number of blocks of energy, motor and momentum rows, and with joint rows that take part also
+/// ZYGOS_JOINT_GROUPS; the jackknife leaves out two of them at a time. To weigh the rows takes c = 0, and 5 more if
+/// other rows are beside energy rows, 5 more for momentum rows, and 10 more for joint rows beside energy rows. A
+/// solution needs at the most (B + 1) / 2 + c + 6 pairs, or (B + 1) / 2 + 2 c + 17 if gains of torque sensors are
+/// estimated: never more than (B + 1) / 2 + 57. Without old arcs there are at the most two more solutions, each of
+/// fewer energy blocks and without joint rows, so that they need at the most (B + 1) / 2 + 37: together never more than
+/// 3 (B + 1) / 2 + 131, and 246 with the usual capacities. Their jackknife is left out unless the balance closes with
+/// far smaller residuals, so that the dearest solution costs less than one and a half times as much as the dearest
+/// valid one of the same arm (docs/cost.md).
 int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out);
 
 /// The parts of zygos_arm_solve() behind zygos_sums_match(): the solution, and the estimate where they do not match.
