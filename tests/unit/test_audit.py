@@ -350,6 +350,16 @@ def test_wraps_are_named_and_no_gear_is_accused() -> None:
 
 
 @pytest.mark.slow
+def test_samples_that_no_arm_makes_are_named_and_nothing_else(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    arm, (first, *_) = runs["lively"]
+    q, tau = first.q.copy(), first.tau.copy()
+    q[[300, 700], 1] += 1.0
+    tau[[400, 800, 801], 0] = -9999.0
+    found = audit(arm, replace(first, q=q, tau=tau))
+    assert named(found) == {Q2: "has 2 samples that no arm makes", T1: "has 3 samples that no arm makes"}
+    assert all("`zygos convert RUN --arm ARM.toml -o NEW`" in finding.remedy for finding in found.findings)
+
+
 @pytest.mark.parametrize(
     ("kind", "unit", "factor"),
     [("theta", "deg", 180.0 / np.pi), ("q", "counts", 1.0 / 0.003), ("theta", "turn", 0.5 / np.pi)],

@@ -14,7 +14,7 @@ from zygos.audit.findings import Audit, Pair, Signal, Traffic
 from zygos.audit.grounded import check_grounded
 from zygos.audit.means import Means
 from zygos.audit.remedies import KINDS, Kind
-from zygos.audit.units import check_units, check_wraps, stretches
+from zygos.audit.units import check_impossible, check_units, check_wraps, stretches
 from zygos.audit.whole import (
     check_gains,
     check_smoother,
@@ -43,6 +43,7 @@ def audit(
     report = progress or (lambda _: None)
     case = Case(arm, cycles, traffic or Traffic())
     check_wraps(case)
+    check_impossible(case)
     check_units(case)
     check_traffic(case)
     broken = check_flat(case)

@@ -15,7 +15,9 @@ from zygos.audit.case import Case
 from zygos.audit.means import Array
 from zygos.audit.readings import grid_step
 from zygos.audit.remedies import Kind
+from zygos.files.output import counted
 from zygos.runs.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, Cycles
+from zygos.runs.outliers import far_off, outliers
 from zygos.runs.samples import LARGEST_ANGLE_RAD
 from zygos.runs.wraps import wraps_of
 
@@ -141,6 +143,27 @@ def check_wraps(case: Case) -> None:
             f"before cycle {int(case.cycles.sync[found.at[0]])}",
             remedies.wraps(case.arm, kind, i, found.turn),
         )
+
+
+def check_impossible(case: Case) -> None:
+    """Report samples that no arm could have produced between their neighbours, and go on with the run without them."""
+    flags = case.cycles.flags.copy()
+    for name, kind, i in case.names:
+        readings = case.readings(kind, i)
+        valid = np.flatnonzero(np.isfinite(readings) & ((flags & INVALID) == 0))
+        x = readings[valid]
+        found = outliers(x, case.declared_noise(kind, i))
+        found = valid[found if kind in ("q", "theta") else far_off(x, found)]
+        if 0 < len(found) <= limits.SECOND_SOURCE.value * len(x):
+            case.find(
+                name,
+                f"has {counted(len(found), 'sample')} that no arm makes",
+                f"first in cycle {int(case.cycles.sync[found[0]])} ({readings[found[0]]:.6g}), far from what the "
+                "cycles beside it say",
+                remedies.by_hand("`zygos convert RUN --arm ARM.toml -o NEW`, which leaves these cycles out"),
+            )
+            flags[found] |= np.uint32(INVALID)
+    case.correct(replace(case.cycles, flags=flags))
 
 
 def check_units(case: Case) -> None:

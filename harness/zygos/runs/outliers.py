@@ -170,6 +170,18 @@ def two_courses(x: Floats, floor: float) -> Places:
     return min(courses, key=lambda one: (code_of(x[one]) is None, len(one)))
 
 
+def far_off(x: Floats, found: Places) -> Places:
+    """Of positions of samples of a torque or a rate (n,) that lie off: those far outside of the range of all others,
+    and those that have one and the same value, as a code or a second source sends it. Others may be short strokes."""
+    if not len(found):
+        return found
+    others = np.delete(x, found)
+    low, high = float(others.min()), float(others.max())
+    outside = (x[found] < low - (high - low)) | (x[found] > high + (high - low))
+    out: Places = found[outside | (x[found] == code_of(x[found]))]
+    return out
+
+
 def code_of(values: Floats) -> float | None:
     """The value that most of these have, if they are several."""
     sent, times = np.unique(values, return_counts=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from zygos import limits
 from zygos.errors import ZygosError
 from zygos.files.output import counted
-from zygos.runs.outliers import GAP, code_of, outliers, steps_off, two_courses, unwrapped
+from zygos.runs.outliers import GAP, code_of, far_off, outliers, steps_off, two_courses, unwrapped
 from zygos.telemetry.map import Channel, Map, Recording, SourceSamples
 
 Floats = NDArray[np.float64]
@@ -164,7 +164,7 @@ class _Signal:
             found = outliers(x, self.floor, self._periods())
             found = np.union1d(found, self._ends(x, np.delete(np.arange(len(x)), found)))
         else:
-            found = _far(x, outliers(x, self.floor))
+            found = far_off(x, outliers(x, self.floor))
         if len(found) <= limits.SECOND_SOURCE.value * len(x):
             second = two_courses(x, self.floor)
             sent = code_of(x[second]) is not None and code_of(np.delete(x, second)) is None
@@ -296,18 +296,6 @@ class _Signal:
             if math.isfinite(stamp)
             else f"in row {int(self.samples.group[place]) + self.samples.first_row}"
         )
-
-
-def _far(x: Floats, found: Places) -> Places:
-    """Of samples of a torque or a rate that lie off: those far outside of the range of all others, and those that have
-    one and the same value, as a code or a second source sends it. Others may be short strokes."""
-    if not len(found):
-        return found
-    others = np.delete(x, found)
-    low, high = float(others.min()), float(others.max())
-    outside = (x[found] < low - (high - low)) | (x[found] > high + (high - low))
-    out: Places = found[outside | (x[found] == code_of(x[found]))]
-    return out
 
 
 def _most_frequent(x: Floats) -> Places:
