@@ -435,7 +435,7 @@ static uint32_t compare_part(zygos_sums_t *sums, const zygos_store_t *store, uin
 }
 
 /* Whether the closing arc, all of which was compared, contradicts the running solution. It is counted. */
-static bool contradicts(zygos_sums_t *sums, const zygos_store_t *store, uint32_t kind)
+static bool is_contradiction(zygos_sums_t *sums, const zygos_store_t *store, uint32_t kind)
 {
     zygos_guard_t *self = &sums->guard;
     const double n = (double)store->closing_instants;
@@ -464,7 +464,7 @@ void zygos_guard_proceed(zygos_sums_t *sums, uint32_t kind)
     }
     const uint32_t end = is_compared(&sums->guard, kind) ? compare_part(sums, store, kind) : ZYGOS_MAX_ANY_ROW;
     if (!zygos_store_judged_rows(store, kind, end)) {
-        zygos_store_judged(store, kind, !is_compared(&sums->guard, kind) || !contradicts(sums, store, kind));
+        zygos_store_judged(store, kind, !is_compared(&sums->guard, kind) || !is_contradiction(sums, store, kind));
     }
 }
 

@@ -466,8 +466,8 @@ static uint32_t unused_of(const zygos_store_t *self, uint32_t kind)
     return layout_of(kind)->places - self->count;
 }
 
-/* Whether blocks have to be merged. One for the closing arc is counted where an arc has no more than one: no blocks
-   merge before it is admitted. */
+/* Whether blocks have to be merged. Where an arc has no more than one, none merge before the closing arc is admitted.
+ */
 static bool lacks_blocks(const zygos_store_t *self, uint32_t kind)
 {
     const layout_t *layout = layout_of(kind);
@@ -700,7 +700,7 @@ static void begin_next_task(zygos_store_t *self, uint32_t kind)
     const bool lacking = lacks_blocks(self, kind);
     const bool dirty = is_dirty(self, kind);
     if (!closing && !lacking && !dirty) {
-        return;
+        return; /* rows of the closing arc are still in buffers */
     }
     verify_seal(self, kind);
     if (dirty && ((self->ready < layout_of(kind)->spare) || !(closing || lacking))) {
@@ -899,7 +899,7 @@ static void eliminate(zygos_store_t *self, uint32_t kind)
         if (self->row < last) {
             const uint32_t part = zygos_store_part(self, kind);
             eliminate_rows(self, kind, rows, (part < last) ? part : last);
-            if (part < rows.width) {
+            if ((part < rows.width) || (rows.width > (uint32_t)ZYGOS_MAX_MOTOR_ROW)) {
                 return;
             }
         }
@@ -1036,6 +1036,9 @@ static void admit(zygos_store_t *self, uint32_t kind)
 
 void zygos_store_proceed(zygos_store_t *self, uint32_t kind)
 {
+    if (!zygos_store_has_work(self, kind)) {
+        return;
+    }
     switch (self->task) {
     case ZYGOS_TASK_CLEAR:
         clear_part(self, kind);

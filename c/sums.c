@@ -18,7 +18,10 @@ zygos_store_t *zygos_sums_store(zygos_sums_t *self, uint32_t kind)
 /* The same, for who only reads. */
 static const zygos_store_t *store_of(const zygos_sums_t *self, uint32_t kind)
 {
-    return zygos_sums_store((zygos_sums_t *)(uintptr_t)self, kind);
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        return &self->energy.store;
+    }
+    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors.store : &self->momentum.store;
 }
 
 void zygos_sums_drop_waiting(zygos_sums_t *self, uint32_t kind)

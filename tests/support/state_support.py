@@ -19,6 +19,8 @@ from zygos.native.flight import Flight, ffi, lib
 
 SUMS = 8
 """From so many doubles on that are not zero, an array is one of sums, or of rows that wait."""
+BESIDE_GROUPS = ("joints.count", "joints.fade")
+"""Of each group of joint rows, in arrays of their own."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ def sums(native: Any, rng: np.random.Generator, each: int = 3) -> list[Place]:
     of the last and of others."""
     out = []
     for group in members().values():
-        if group[0].kind != "double" or group[0].count < SUMS:
+        if group[0].kind != "double" or group[0].count < SUMS or group[0].member in BESIDE_GROUPS:
             continue
         full = [leaf for leaf in group if len(used(native, leaf)) >= SUMS]
         chosen = [*full[:1], *full[-1:], *(full[k] for k in rng.permutation(len(full)))][:each]
@@ -145,6 +147,7 @@ def beside_sums(native: Any, rng: np.random.Generator, each: int = 2) -> list[Pl
     for leaf, at in inside:
         if at in with_sums and leaf.count <= SUMS:
             places[leaf.member].append(leaf)
+    places |= {name: members()[name] for name in BESIDE_GROUPS}
     out = []
     for group in places.values():
         few = sorted((group[k] for k in rng.permutation(len(group))), key=lambda leaf: not len(used(native, leaf)))
