@@ -81,8 +81,7 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     memset(self, 0, sizeof *self);
     self->noisy = noisy;
     self->width = parameters + 2u;
-    zygos_store_clear(&self->store, KIND, (double)(ZYGOS_BUFFER_ROWS * ((steps > MIN_BUFFERS) ? steps : MIN_BUFFERS)),
-                      0.5 * (double)arc_cycles);
+    zygos_store_clear(&self->store, KIND, (double)(ZYGOS_BUFFER_ROWS * ((steps > MIN_BUFFERS) ? steps : MIN_BUFFERS)));
     zygos_accumulator_forget_rows(self);
 }
 

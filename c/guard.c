@@ -6,7 +6,6 @@
 #include <stddef.h>
 #include <string.h>
 
-/* Number of standard deviations of a contradiction, as ZYGOS_CHANGE_ALARM. */
 #define LARGEST_SUM 1e150
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 #define SIGMAS 6.0
@@ -15,6 +14,8 @@
 /* Parts of tasks with which those of an arc have ended, whatever memory says. */
 #define MOST_PARTS                                                                                                     \
     (8u * ZYGOS_PASS_CYCLES * (uint32_t)(ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES))
+/* Shorter arcs are held together, until they are so many times as long as is enough to be compared. */
+#define HELD_TOGETHER 3.0
 /* An arc counts as agreeing when a residual of this share of its spread would have contradicted. */
 #define INFORMATIVE 0.1
 
@@ -52,15 +53,15 @@ static uint64_t checksum_of(const zygos_guard_t *self)
 
 bool zygos_guard_intact(const zygos_guard_t *self)
 {
-    bool good = (self->known <= 1u) && (self->changed <= 1u);
+    bool good = (self->known <= 1u) && (self->changed <= 1u) && (self->held_instants >= 0.0) &&
+                (self->held_instants <= ZYGOS_MAX_INSTANTS);
     for (uint32_t k = 0; k < (uint32_t)ZYGOS_KINDS_OF_ROWS; k++) {
         good = good && (self->instants[k] >= 0.0) && (self->instants[k] <= ZYGOS_MAX_INSTANTS);
     }
     return good;
 }
 
-/* Whether there is a running solution with the right checksum; otherwise it is discarded. */
-static bool has_running_solution(zygos_guard_t *self, uint32_t parameters)
+bool zygos_guard_has_solution(zygos_guard_t *self, uint32_t parameters)
 {
     if (self->known == 0) {
         return false;
@@ -250,6 +251,41 @@ static double contradiction_of_energy(zygos_guard_t *self, const zygos_config_t 
     return larger(first, second);
 }
 
+double zygos_guard_enough(const zygos_config_t *config, uint32_t parameters)
+{
+    return larger(0.5 * (double)config->arc_cycles, ZYGOS_GUARD_HELD * (double)parameters);
+}
+
+/* Whether the closing arc is added to those that are held, or replaces them. */
+static void begin_to_hold(zygos_guard_t *self, const zygos_config_t *config, const zygos_accumulator_t *sums)
+{
+    const zygos_store_t *store = &sums->store;
+    const double enough = zygos_guard_enough(config, sums->width - 2u);
+    const bool added = (self->held_instants > 0.0) && (self->held_instants < HELD_TOGETHER * enough) &&
+                       ((double)store->closing_instants < enough);
+    if (!added) {
+        self->held_after = (store->closed > 0) ? zygos_accumulator_at(sums, store->closed - 1u)->head.end : 0u;
+    }
+    self->held_anew = added ? 0u : 1u;
+    self->held_before = added ? self->held_instants : 0.0;
+    self->held_arcs = added ? self->held_arcs + 1u : 1u;
+    self->held_instants = 0.0;
+}
+
+/* Adds the rows of the part of the task. */
+static void hold_part(zygos_guard_t *self, const zygos_accumulator_t *sums, uint32_t end, const zygos_block_t *block)
+{
+    const bool first = (self->held_anew != 0) && (sums->store.rank == sums->store.closed);
+    const uint32_t rows = sums->width - 1u;
+    const uint32_t last = zygos_gram_entries((end < rows) ? end : rows);
+    for (uint32_t k = zygos_gram_entries(sums->store.row); k < last; k++) {
+        self->held.gram[k] = block->gram[k] + (first ? 0.0 : self->held.gram[k]);
+    }
+    for (uint32_t i = 0; (i < rows) && (end >= rows); i++) {
+        self->held.sum[i] = block->sum[i] + (first ? 0.0 : self->held.sum[i]);
+    }
+}
+
 /* Compares the next rows of the closing arc of energy rows, of a block or of the noise. */
 static void judge_energy(zygos_guard_t *self, const zygos_accumulator_t *sums, uint32_t end)
 {
@@ -261,6 +297,7 @@ static void judge_energy(zygos_guard_t *self, const zygos_accumulator_t *sums, u
     const double *deviation = zygos_accumulator_deviation(sums, block);
     self->walk = (sums->store.row == 0) ? 0.0 : self->walk;
     add_part(self, sums, end, block->gram, deviation, &self->rows);
+    hold_part(self, sums, end, block);
     if (end + 1u >= sums->width) {
         add_block(self, block, deviation, sums->width - 2u);
     }
@@ -398,7 +435,7 @@ static void begin_comparison(zygos_sums_t *sums, uint32_t kind)
 {
     const zygos_finding_t none = { 0.0, 0.0, 0.0, 0.0 };
     zygos_guard_t *self = &sums->guard;
-    bool compares = has_running_solution(self, sums->column_map.parameters);
+    bool compares = zygos_guard_has_solution(self, sums->column_map.parameters);
     if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
         self->rows = none;
         self->noise = none;
@@ -406,6 +443,7 @@ static void begin_comparison(zygos_sums_t *sums, uint32_t kind)
         self->share = 0.0;
         self->compared = 0.0;
         compares = compares && !zygos_joint_sums_suffice(&sums->config) && (self->energy.residual > 0.0);
+        begin_to_hold(self, &sums->config, &sums->energy);
     } else if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
         self->motor_worst = 0.0;
         self->motor_informative = 0;
@@ -443,6 +481,8 @@ static bool is_contradiction(zygos_sums_t *sums, const zygos_store_t *store, uin
     double found = self->motor_worst;
     if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
         found = contradiction_of_energy(self, &sums->config, n, &informative);
+        const bool mixed = (self->held_before > 0.0) && ((found > 1.0) != (self->consecutive[kind] > 0));
+        self->held_instants = mixed ? 0.0 : self->held_before + n;
     } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
         found = contradiction_of_momentum(self, n, &informative);
     }
@@ -489,7 +529,7 @@ void zygos_guard_end_joints(zygos_sums_t *all)
     if (!(rows > 0.0)) {
         return;
     }
-    if (!zygos_joint_sums_suffice(config) || !has_running_solution(self, sums->width - 1u) ||
+    if (!zygos_joint_sums_suffice(config) || !zygos_guard_has_solution(self, sums->width - 1u) ||
         !(self->energy.residual > 0.0)) {
         zygos_joint_sums_admit(sums, config, cycle, forgetting);
         return;
@@ -625,8 +665,12 @@ bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
     const uint32_t p = sums->column_map.parameters;
     const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
                               (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (self->known == 0);
-    bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && (estimate->parameters == p) &&
-                (estimate->cycle > self->since) && is_within(estimate->residual, 0.0, LARGEST_SUM);
+    /* One that is of the newest arc, too, waits until that was compared with the solution before it. */
+    const bool waits = (self->known != 0) && (self->held_instants > 0.0) &&
+                       (self->held_instants < zygos_guard_enough(&sums->config, p));
+    bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && !waits &&
+                (estimate->parameters == p) && (estimate->cycle > self->since) &&
+                is_within(estimate->residual, 0.0, LARGEST_SUM);
     double wider[ZYGOS_MAX_PARAMETERS];
     for (uint32_t i = 0; good && (i < p); i++) {
         wider[i] = (estimate->sigma[i] > 0.0) ? estimate->half95[i] / (TWO_SIGMAS * estimate->sigma[i]) : 1.0;

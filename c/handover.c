@@ -429,16 +429,19 @@ static void cut_guard(const zygos_sums_t *sums, zygos_sums_t *out)
     out->checksum = sums->checksum;
 }
 
+/* The running solution, then the arcs that are held. */
 static bool guard_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_guard_t *from = &sums->guard;
     const uint32_t p = least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
-    if (self->unit > 0) {
-        return false;
+    if (self->unit == 0) {
+        copy(SPAN(&out->guard, from, zygos_guard_t, checksum, covariance));
+        copy(piece(out->guard.covariance, from->covariance, zygos_gram_entries(p)));
+    } else {
+        copy(SPAN(&out->guard, from, zygos_guard_t, held_after, held));
+        COPY_SUMS(&from->held, &out->guard.held, p + 1u);
     }
-    copy(SPAN(&out->guard, from, zygos_guard_t, checksum, covariance));
-    copy(piece(out->guard.covariance, from->covariance, zygos_gram_entries(p)));
-    return true;
+    return self->unit == 0;
 }
 
 /* ---------------------------------------------------------------- all kinds */

@@ -1712,13 +1712,6 @@ static bool report_residuals(const zygos_solver_t *work, const residuals_t *left
     return (left->cluster <= ZYGOS_CLUSTER_LIMIT) || (left->share <= least);
 }
 
-/* The same of what was solved last. */
-static bool closes(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
-{
-    const residuals_t left = residuals_of(work, p);
-    return report_residuals(work, &left, out);
-}
-
 /* Sum of the squares of a joint's motor rows that no values of their own parameters explain: what is left of the right
    side when all columns have been eliminated. count: of columns, the gain not among them. */
 static double least_left(double *gram, uint32_t count)
@@ -1907,8 +1900,7 @@ static uint32_t choose_from(zygos_solver_t *work, uint32_t p, uint32_t first, co
         choose_anew(work, p, first, work->sums->energy.store.closed);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
-    if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
-        (out->blocks < (joints ? ZYGOS_MIN_GROUPS : (uint32_t)ZYGOS_MIN_BLOCKS))) {
+    if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) || (out->blocks < ZYGOS_MIN_GROUPS)) {
         /* A refused instant costs a whole increment, so that no row may be left of a fast motion. */
         return (joints && (out->refused > out->accepted)) ? ZYGOS_REASON_TOO_FAST : ZYGOS_REASON_NO_DATA;
     }
@@ -2097,7 +2089,7 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
         behind += (b < first) ? 0.0 : zygos_accumulator_at(sums, b)->head.total;
         arcs += ((b >= first) && last_of_arc) ? 1u : 0u;
     }
-    return (first + ZYGOS_MIN_BLOCKS <= sums->store.closed) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
+    return (first + ZYGOS_MIN_GROUPS <= sums->store.closed) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
 /* Couples of vectors of the solver, whose entries lie side by side, and vectors; and those of an estimate that is put
@@ -2231,6 +2223,7 @@ int zygos_solver_solve(zygos_solver_t *self, zygos_estimate_t *out)
     borrow(self);
     const int answer = solve_well(self, out);
     give_back(self);
+    zygos_change_compare(self->sums, &self->newest);
     return answer;
 }
 
@@ -2253,174 +2246,4 @@ int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out)
         return ZYGOS_E_NULL;
     }
     return zygos_sums_end_copy(&work->sums) ? zygos_solver_solve(solver_of(work), out) : zygos_solver_refuse(out);
-}
-
-/* Solves the chosen blocks by themselves. Returns false where they determine no solution. */
-static bool solve_chosen(zygos_solver_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
-{
-    *rank = weigh(work, p, scratch);
-    if (*rank == 0) {
-        return false;
-    }
-    return (solve_beside_noise(work, p, *rank, &scratch->signal_to_noise) == *rank) &&
-           (scratch->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
-}
-
-/* The residuals of the energy rows of the chosen blocks: mean square, and ratio to the declared noise. */
-typedef struct {
-    double residual;
-    double ratio;
-} reference_t;
-
-static reference_t reference_of(const zygos_solver_t *work, uint32_t p)
-{
-    double explained = 0.0;
-    const double left = energy_left(work, p, work->solution, &explained);
-    const reference_t out = { left / work->instants, (explained > 0.0) ? left / explained : 0.0 };
-    return out;
-}
-
-/* Whether the residuals of the chosen blocks with their own solution are no larger than those of the reference.
-   Otherwise another arm does not explain these blocks either. */
-static bool explains(const zygos_solver_t *work, uint32_t p, const reference_t *reference)
-{
-    double explained = 0.0;
-    const double left = energy_left(work, p, work->solution, &explained);
-    const double by_noise = reference->ratio * explained;
-    const double by_number = reference->residual * work->instants;
-    const double window = 2.0 * (double)work->sums->config.smoother_half_width + 1.0;
-    const double most =
-        zygos_guard_chi_square_limit(work->instants / window) * ((by_noise > by_number) ? by_noise : by_number);
-    return left <= most + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * work->spread;
-}
-
-/* Solves what was chosen, which is before the change, and writes the estimate from it. scaled: its inverse information.
-   Returns false where it does not determine all parameters. */
-static bool solve_before(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out, double *scaled)
-{
-    uint32_t rank = 0;
-    if (!solve_chosen(work, p, out, &rank) || (rank < p)) {
-        return false;
-    }
-    (void)invert(work, p, work->inverse);
-    jackknife(work, p, rank, out->covariance);
-    if (work->joints_alone == 0) {
-        add_torque_noise(work, p, out->covariance);
-    }
-    add_prior(work, p, out->covariance);
-    memcpy(out->value, work->solution, p * sizeof out->value[0]);
-    memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
-    for (uint32_t i = 0; i < p; i++) {
-        out->sigma[i] = root(out->covariance[at(i, i)]);
-        out->identifiable[i] = 1;
-        scaled[i] = work->inverse[i] * work->scale[i] * work->scale[i];
-    }
-    write_intervals(work, p, out);
-    out->rank = rank;
-    const bool closed = closes(work, p, out);
-    out->validity = closed ? ZYGOS_VALID : ZYGOS_DOUBTFUL;
-    out->reason = closed ? ZYGOS_REASON_NONE : ZYGOS_REASON_UNCLOSED;
-    return true;
-}
-
-/* Compares what was chosen and solved with the estimate from before. */
-static void compare(zygos_solver_t *work, uint32_t p, const zygos_estimate_t *out, const double *scaled,
-                    double *deviation)
-{
-    (void)invert(work, p, work->inverse);
-    for (uint32_t i = 0; i < p; i++) {
-        /* Noise is alike before and after; what differs is how well the motion tells of a parameter. */
-        const double less = work->inverse[i] * work->scale[i] * work->scale[i] / scaled[i];
-        const double spread = out->half95[i] / TWO_SIGMAS * root(1.0 + less);
-        deviation[i] = (work->solution[i] - out->value[i]) / spread;
-    }
-}
-
-/* Compares the segments of joint rows that were set aside with the groups of the estimate. */
-static int detect_in_joints(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out, double *deviation)
-{
-    const uint32_t groups = groups_of(&work->sums->joints);
-    const uint32_t aside = (uint32_t)ZYGOS_SET_ASIDE;
-    double scaled[ZYGOS_MAX_PARAMETERS];
-    out->blocks = groups;
-    if ((groups < ZYGOS_MIN_GROUPS) || (work->sums->guard.known == 0) || (work->sums->guard.changed == 0)) {
-        return refuse(out, p, ZYGOS_REASON_NO_DATA);
-    }
-    out->cycle = work->sums->guard.agreed;
-    choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
-    if (!solve_before(work, p, out, scaled)) {
-        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
-    }
-    const reference_t reference = reference_of(work, p);
-    const double signal_to_noise = out->signal_to_noise;
-    uint32_t rank = 0;
-    choose_joints(work, p, aside, aside + 1u);
-    const bool solved = solve_chosen(work, p, out, &rank) && (rank == p) && explains(work, p, &reference);
-    out->signal_to_noise = signal_to_noise;
-    if (solved) {
-        compare(work, p, out, scaled, deviation);
-    }
-    return solved ? 1 : 0;
-}
-
-/* Compares the newest blocks of energy rows with those before them. */
-static int detect_in_energy(zygos_solver_t *work, uint32_t p, bool guarded, zygos_estimate_t *out, double *deviation)
-{
-    const zygos_accumulator_t *sums = &work->sums->energy;
-    out->blocks = sums->store.newest;
-    if ((sums->store.newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->store.newest == sums->store.closed)) {
-        return refuse(out, p, ZYGOS_REASON_NO_DATA);
-    }
-    out->cycle = zygos_accumulator_at(sums, sums->store.newest - 1u)->head.end;
-    uint32_t rank = 0;
-    double scaled[ZYGOS_MAX_PARAMETERS];
-    choose_anew(work, p, 0, sums->store.newest);
-    if (!solve_before(work, p, out, scaled)) {
-        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
-    }
-    const reference_t reference = reference_of(work, p);
-    choose(work, p, sums->store.newest, sums->store.closed);
-    const double known[4] = { out->signal_to_noise, out->cluster, out->residual, out->noise_ratio };
-    const bool solved = solve_chosen(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &reference));
-    if (solved && !closes(work, p, out)) {
-        out->validity = ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_UNCLOSED;
-    }
-    const double newest = out->cluster;
-    out->signal_to_noise = known[0];
-    out->cluster = (solved && (newest > known[1])) ? newest : known[1];
-    out->residual = known[2];
-    out->noise_ratio = known[3];
-    if (solved) {
-        compare(work, p, out, scaled, deviation);
-    }
-    return solved ? 1 : 0;
-}
-
-int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
-{
-    if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    const zygos_accumulator_t *sums = &work->sums.energy;
-    memset(out, 0, sizeof *out);
-    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
-        deviation[i] = not_a_number();
-    }
-    /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
-    const bool guarded = (work->sums.guard.known != 0);
-    const bool joints = (work->sums.config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->sums.config);
-    const bool settled = zygos_sums_settle_copy(&work->sums);
-    work->sums.guard.known = (guarded && (joints || ((double)sums->store.arc_instants < sums->store.enough))) ? 1u : 0u;
-    if (!settled || !zygos_sums_end_copy(&work->sums)) {
-        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
-    }
-    zygos_solver_t *solver = solver_of(work);
-    borrow(solver);
-    const uint32_t p = solver->column_map.parameters;
-    out->parameters = p;
-    const int answer =
-        joints ? detect_in_joints(solver, p, out, deviation) : detect_in_energy(solver, p, guarded, out, deviation);
-    give_back(solver);
-    return answer;
 }

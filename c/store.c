@@ -282,7 +282,6 @@ static bool are_places_possible(const zygos_store_t *self, uint32_t kind)
 {
     const uint32_t places = layout_of(kind)->places;
     bool good = (self->count <= places) && (self->fresh <= self->count) && (self->closed <= self->fresh) &&
-                (self->window <= self->closed) && (self->newest <= self->window) &&
                 (self->ready <= places - self->count);
     for (uint32_t r = 0; r < places; r++) {
         good = good && (self->order[r] < places);
@@ -320,8 +319,6 @@ static void forget_places(zygos_store_t *self, uint32_t kind)
     self->count = 0;
     self->closed = 0;
     self->fresh = 0;
-    self->newest = 0;
-    self->window = 0;
     self->ready = 0;
     self->open = 0;
     self->task = ZYGOS_TASK_NONE;
@@ -425,16 +422,14 @@ uint64_t zygos_store_accepted(const zygos_store_t *self)
 /* Takes the blocks of the ranks from first to before end out of the order; they are free, and have to be cleared. */
 static void free_ranks(zygos_store_t *self, uint32_t first, uint32_t end)
 {
-    uint32_t *const behind[6] = {
-        &self->count, &self->closed, &self->fresh, &self->newest, &self->window, &self->rank
-    };
+    uint32_t *const behind[4] = { &self->count, &self->closed, &self->fresh, &self->rank };
     for (uint32_t n = first; n < end; n++) {
         const uint8_t place = self->order[first];
         for (uint32_t r = first; r + 1u < self->count; r++) {
             self->order[r] = self->order[r + 1u];
         }
         self->order[self->count - 1u] = place;
-        for (uint32_t k = 0; k < 6u; k++) {
+        for (uint32_t k = 0; k < 4u; k++) {
             *behind[k] -= (first < *behind[k]) ? 1u : 0u;
         }
     }
@@ -619,25 +614,50 @@ static void merge(zygos_store_t *self, uint32_t kind)
     reseal(self);
 }
 
-/* The rank of the first of two neighbours that fit into one block, or count. Blocks of closed arcs never merge with
-   those of the closing or the open one, whose constants are still in them; nor do those of the newest closed arc with
-   older ones, from which it may differ; nor do blocks that may still be added to. Where none fits the target doubles,
-   and the next call finds the pair: the blocks are looked through once a cycle. */
+/* The spread of the work in a block of closed arcs of energy rows. */
+static double spread_of(const zygos_store_t *self, uint32_t kind, uint32_t rank)
+{
+    const matrix_t matrix = matrix_of(readable(self), kind, zygos_store_place(self, kind, rank), 0);
+    const double fade = zygos_store_head(self, kind, rank)->fade;
+    return (matrix.width > 1u) ? fade * matrix.gram[zygos_gram_entries(matrix.width - 1u) - 1u] : 0.0;
+}
+
+/* The sizes of the blocks: their instants; of closed arcs of energy rows their share in all of these, or, where that is
+   larger, in the spread of the work, so that blocks of motion do not merge while the arm rests. */
+static void write_sizes(const zygos_store_t *self, uint32_t kind, double *size)
+{
+    double instants = 0.0;
+    double spread = 0.0;
+    for (uint32_t r = 0; r < self->count; r++) {
+        const bool shares = is_buffered(kind) && (r < self->closed);
+        size[r] = zygos_store_instants_of(self, kind, r);
+        instants += shares ? size[r] : 0.0;
+        spread += shares ? spread_of(self, kind, r) : 0.0;
+    }
+    for (uint32_t r = 0; (r < self->closed) && (spread > 0.0); r++) {
+        const double share = instants * (spread_of(self, kind, r) / spread);
+        size[r] = (share > size[r]) ? share : size[r];
+    }
+}
+
+/* The rank of the first of the two smallest neighbours that fit into one block, or count. Blocks of closed arcs never
+   merge with those of the closing or the open one, whose constants are still in them; nor do blocks that may still be
+   added to. Where none fits the target doubles, and the next call finds the pair: the blocks are looked through once a
+   cycle. */
 static uint32_t pair_to_merge(zygos_store_t *self, uint32_t kind)
 {
     const uint32_t used = (self->count < self->fresh + IN_USE) ? self->fresh : self->count - IN_USE;
-    const uint32_t region[5] = { 0, self->newest, self->window, self->closed, self->fresh };
-    const uint32_t end[5] = { self->newest, self->window, self->closed, self->closed, used };
+    const uint32_t region[2] = { 0, self->fresh };
+    const uint32_t end[2] = { self->closed, used };
+    double size[ZYGOS_ORDER_PLACES];
     double least = 2.0 * ZYGOS_MAX_INSTANTS;
     uint32_t fits = self->count;
-    for (uint32_t g = 0; g < 5u; g++) {
-        double before = 0.0;
-        for (uint32_t r = region[g]; r < end[g]; r++) {
-            const double here = zygos_store_instants_of(self, kind, r);
-            const double both = (r > region[g]) ? before + here : 2.0 * ZYGOS_MAX_INSTANTS;
+    write_sizes(self, kind, size);
+    for (uint32_t g = 0; g < 2u; g++) {
+        for (uint32_t r = region[g]; r + 1u < end[g]; r++) {
+            const double both = size[r] + size[r + 1u];
+            fits = ((both < least) && (both <= self->target)) ? r : fits;
             least = (both < least) ? both : least;
-            fits = ((both <= self->target) && (fits == self->count)) ? r - 1u : fits;
-            before = here;
         }
     }
     if (self->count <= layout_of(kind)->fewest) {
@@ -1002,25 +1022,6 @@ static void leave_out(zygos_store_t *self)
     self->task = ZYGOS_TASK_NONE;
 }
 
-static void admit_arc(zygos_store_t *self, uint32_t kind)
-{
-    const bool compared = (self->enough > 0.0);
-    if (compared && ((double)self->closing_instants >= self->enough)) {
-        self->window = self->closed; /* it speaks without the short ones before it */
-    }
-    self->closed = self->fresh;
-    double instants = 0.0;
-    for (uint32_t r = self->window; compared && (r < self->closed); r++) {
-        instants += zygos_store_instants_of(self, kind, r);
-    }
-    if (compared && (instants >= self->enough)) {
-        self->newest = self->window;
-        self->window = self->closed;
-    }
-    self->accepted += self->closing_instants;
-    self->arcs++;
-}
-
 static void admit(zygos_store_t *self, uint32_t kind)
 {
     if (sums_noise(self, kind) && !move_noise(self, kind)) {
@@ -1028,7 +1029,9 @@ static void admit(zygos_store_t *self, uint32_t kind)
     }
     verify_seal(self, kind);
     if (self->admitted != 0) {
-        admit_arc(self, kind);
+        self->closed = self->fresh;
+        self->accepted += self->closing_instants;
+        self->arcs++;
     }
     leave_out(self); /* of what was not admitted */
     reseal(self);
@@ -1144,11 +1147,10 @@ void zygos_store_open_block(zygos_store_t *self, uint32_t kind)
 
 /* ---------------------------------------------------------------- arcs */
 
-void zygos_store_clear(zygos_store_t *self, uint32_t kind, double target, double enough)
+void zygos_store_clear(zygos_store_t *self, uint32_t kind, double target)
 {
     memset(self, 0, sizeof *self);
     self->target = target;
-    self->enough = enough;
     self->noise_fade = 1.0;
     for (uint32_t place = 0; place < layout_of(kind)->places; place++) {
         self->order[place] = (uint8_t)place;

@@ -45,10 +45,10 @@ void zygos_sums_clear(zygos_sums_t *self, uint32_t kind)
         zygos_accumulator_init(&self->energy, self->column_map.parameters, config->arc_cycles, config->period_s);
         break;
     case ZYGOS_MOTOR_ROWS:
-        zygos_store_clear(&self->motors.store, kind, 2.0 * (double)config->impulse_arc_cycles, 0.0);
+        zygos_store_clear(&self->motors.store, kind, 2.0 * (double)config->impulse_arc_cycles);
         break;
     case ZYGOS_MOMENTUM_ROWS:
-        zygos_store_clear(&self->momentum.store, kind, 2.0 * (double)config->momentum_arc_cycles, 0.0);
+        zygos_store_clear(&self->momentum.store, kind, 2.0 * (double)config->momentum_arc_cycles);
         break;
     default:
         zygos_joint_sums_clear(&self->joints);
@@ -120,6 +120,7 @@ void zygos_sums_drop_after(zygos_sums_t *self, uint32_t kind, uint64_t cycle)
         zygos_joint_sums_drop_after(&self->joints, cycle);
     } else {
         zygos_store_drop_after(zygos_sums_store(self, kind), kind, cycle);
+        self->guard.held_instants = 0.0; /* it may be of them */
     }
 }
 

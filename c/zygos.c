@@ -543,7 +543,6 @@ static void hand_over(zygos_t *self, const zygos_given_t *given)
             return;
         }
         if (background->of != self->restarts) { /* what was compared was another arm */
-            background->compares = 0;
             background->changed = 0;
         }
         background->of = self->restarts;
@@ -779,25 +778,6 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config, void *memory, uint
 
 /* ---------------------------------------------------------------- the background */
 
-/* Whether the newest arc differs from those before by more than noise. */
-static void compare(zygos_background_t *background)
-{
-    zygos_estimate_t *before = &background->estimate;
-    const int compared = zygos_detect_change(&background->work, before, background->deviation);
-    uint32_t differs = 0;
-    for (uint32_t i = 0; (compared == 1) && (before->validity == (uint32_t)ZYGOS_VALID) && (i < before->parameters) &&
-                         (i < (uint32_t)ZYGOS_MAX_PARAMETERS);
-         i++) {
-        const double deviation = background->deviation[i];
-        differs |= ((deviation >= ZYGOS_CHANGE_ALARM) || (deviation <= -ZYGOS_CHANGE_ALARM)) ? 1u : 0u;
-    }
-    if (differs != 0) {
-        background->changed = 1;
-        background->changed_of = background->of;
-        background->unchanged = before->cycle;
-    }
-}
-
 /* The share that sums from before a cycle still have, by the factor of forgetting. */
 static bool has_faded(const zygos_config_t *config, uint64_t cycles)
 {
@@ -834,12 +814,17 @@ static void solve_copy(zygos_background_t *background, const zygos_config_t *con
     zygos_estimate_t *estimate = &background->estimate;
     zygos_work_t *work = &background->work;
     (void)zygos_work_solve(work, estimate);
+    if ((background->changed == 0) && (estimate->reason != (uint32_t)ZYGOS_REASON_CORRUPT) &&
+        zygos_change_found(&work->solver.newest)) {
+        background->changed = 1;
+        background->changed_of = background->of;
+        background->unchanged = work->solver.newest.until;
+    }
     doubt(background, config);
     background->adopted = 0;
     if ((estimate->changed == 0) && zygos_guard_adopt(&work->sums, estimate)) {
         background->adopted = 1;
     }
-    background->compares = (estimate->blocks >= ZYGOS_CHANGE_MIN_BLOCKS) ? 1u : 0u;
 }
 
 int zygos_solve(zygos_t *self, zygos_estimate_t *out)
@@ -868,12 +853,6 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     if (background != NULL) {
         of = background->of;
         background->work.sums.config = *config;
-        if (background->compares != 0) {
-            compare(background);
-            background->compares = 0;
-            move_to(self, ZYGOS_STAGE_IDLE);
-            return 0;
-        }
         solve_copy(background, config);
     } else {
         of = in_place_of(&given)->of;

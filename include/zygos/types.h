@@ -36,10 +36,9 @@ extern "C" {
 #endif
 
 /// The number of blocks into which the normal equations are divided; they take most of the memory. The standard
-/// deviations are computed from the scatter of the blocks: with fewer blocks the intervals are wider, by 13 % with 11.
-/// Less than about 32 do not suffice to compare the newest arc with those before it (zygos_estimate_t.changed).
+/// deviations are computed from the scatter of the blocks.
 #ifndef ZYGOS_MAX_BLOCKS
-#define ZYGOS_MAX_BLOCKS 32
+#define ZYGOS_MAX_BLOCKS 12
 #endif
 #if (ZYGOS_MAX_BLOCKS < 11) || (ZYGOS_MAX_BLOCKS > 128)
 #error "ZYGOS_MAX_BLOCKS must be 11..128"
@@ -85,7 +84,7 @@ extern "C" {
 
 /// The number of blocks of the momentum rows; each block consists of whole arcs. It must be even.
 #ifndef ZYGOS_MAX_MOMENTUM_BLOCKS
-#define ZYGOS_MAX_MOMENTUM_BLOCKS 16
+#define ZYGOS_MAX_MOMENTUM_BLOCKS 8
 #endif
 #if (ZYGOS_MAX_MOMENTUM_BLOCKS < 4) || (ZYGOS_MAX_MOMENTUM_BLOCKS > 128) || (ZYGOS_MAX_MOMENTUM_BLOCKS % 2 != 0)
 #error "ZYGOS_MAX_MOMENTUM_BLOCKS must be even, 4..128"
@@ -101,7 +100,7 @@ extern "C" {
 
 /// The number of blocks of the motor rows; each block consists of whole arcs. It must be even.
 #ifndef ZYGOS_MAX_MOTOR_BLOCKS
-#define ZYGOS_MAX_MOTOR_BLOCKS 32
+#define ZYGOS_MAX_MOTOR_BLOCKS 8
 #endif
 #if (ZYGOS_MAX_MOTOR_BLOCKS < 4) || (ZYGOS_MAX_MOTOR_BLOCKS > 128) || (ZYGOS_MAX_MOTOR_BLOCKS % 2 != 0)
 #error "ZYGOS_MAX_MOTOR_BLOCKS must be even, 4..128"

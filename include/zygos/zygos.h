@@ -70,16 +70,15 @@ extern "C" {
 /// reading.
 typedef struct {
     zygos_work_t work;
-    zygos_estimate_t estimate;              ///< The newest; after a comparison that without the newest arc,
-    double deviation[ZYGOS_MAX_PARAMETERS]; ///< and these are the deviations of the newest arc from it.
-    uint64_t seal;                          ///< Of the estimate, until it is adopted.
-    uint32_t of;                            ///< zygos_t.restarts when the copy was made.
-    uint32_t compares;                      ///< 1: this copy is for a comparison, and not for an estimate.
-    uint32_t changed;                       ///< 1: a comparison has found another arm,
-    uint32_t changed_of;                    ///< when zygos_t.restarts was this.
-    uint64_t unchanged;                     ///< The newest cycle of the arm before.
-    uint32_t corrupt;                       ///< Estimates in a row whose sums were corrupt.
-    uint32_t adopted;                       ///< 1: the estimate can be adopted.
+    zygos_estimate_t estimate; ///< The newest.
+    uint64_t seal;             ///< Of the estimate, until it is adopted.
+    uint32_t of;               ///< zygos_t.restarts when the copy was made.
+    uint32_t changed;          ///< 1: a comparison has found another arm,
+    uint32_t changed_of;       ///< when zygos_t.restarts was this.
+    uint32_t corrupt;          ///< Estimates in a row whose sums were corrupt.
+    uint64_t unchanged;        ///< The newest cycle of the arm before.
+    uint32_t adopted;          ///< 1: the estimate can be adopted.
+    uint32_t reserved;
 } zygos_background_t;
 
 /// Memory for solutions without a copy of the sums: while one is computed, frames wait, and arcs end before it. There
@@ -168,9 +167,7 @@ int zygos_step(zygos_t *self);
 int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
 
 /// Asks zygos_step() for a copy of the sums, and solves it once it is there. Call it in the background as often as an
-/// estimate is wanted: it never waits. Where a copy has eight blocks or more, every second one serves to compare the
-/// newest arc with all before it, which costs like a solution and returns 0; what it found is in the estimates that
-/// follow (zygos_estimate_t.changed). Returns 1 when *out is a new estimate, 0 when none is ready, ZYGOS_E_NULL or
+/// estimate is wanted: it never waits. Returns 1 when *out is a new estimate, 0 when none is ready, ZYGOS_E_NULL or
 /// ZYGOS_E_ORDER. With a zygos_in_place_t the sums are not copied: zygos_step() ends the arcs, and takes no cycle until
 /// this call has returned. It does so once in an arc at the most. Cost: zygos_work_solve().
 int zygos_solve(zygos_t *self, zygos_estimate_t *out);

@@ -1,5 +1,5 @@
-"""Write the bytes of the structs into docs/integrate.md, and their sums and where the bytes are, beside the budgets,
-into docs/cost.md.
+"""Write the bytes of the structs, and where they are beside the budgets, into docs/cost.md, and what `zygos
+compile-model` proposes for the paper's arm into README.md, docs/tasks.md and docs/integrate.md.
 
 PYTHONPATH=tests:tests/support python -m bench.sizes
 """
@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 from conftest import ROOT
 from zygos.files.output import write_text
+from zygos.native.sizes import memory
 
 ROW = re.compile(r"^(\| (\d) \| (\d) \| (\d+) \|).*$", re.M)
 """A row of the manual's table: joints, whether spatial, blocks."""
@@ -85,18 +86,30 @@ def profile() -> str:
 
 
 def main() -> None:
-    """Measure every row that the manual has, and the budgets."""
+    """Measure every row of docs/cost.md, the budgets, and what `zygos compile-model` proposes for the paper's arm."""
 
     def row(found: re.Match[str]) -> str:
-        size = sizes(f"MAX_JOINTS={found[2]}", f"SPATIAL={found[3]}", f"MAX_BLOCKS={found[4]}")
-        cells = (size["arm"], size["work"], size["estimate"], total(size))
-        return f"{found[1]} {' | '.join(f'{cell:,}' for cell in cells)} |"
+        given = {"ZYGOS_MAX_JOINTS": int(found[2]), "ZYGOS_SPATIAL": int(found[3]), "ZYGOS_MAX_BLOCKS": int(found[4])}
+        size = memory(given) | memory(given, in_place=True)
+        cells = [f"{size[name]:,}" for name in ("arm", "background", "in_place", "estimate")]
+        return f"{found[1]} {' | '.join(cells)} |"
 
-    manual, cost = ROOT / "docs" / "integrate.md", ROOT / "docs" / "cost.md"
-    write_text(manual, ROW.sub(row, manual.read_text()))
-    large = total(sizes("MAX_JOINTS=7"))
-    text = re.sub(r"(estimate, take|joints take) [\d.]+ MB", rf"\1 {large / 1e6:.1f} MB", cost.read_text())
-    two, three, seven = (in_place(sizes(*usual, *fewest)) for _, _, usual, fewest in BUILDS)
+    manual, tasks, readme, cost = (
+        ROOT / page for page in ("docs/integrate.md", "docs/tasks.md", "README.md", "docs/cost.md")
+    )
+    written = (ROOT / "examples" / "onboard" / "arm_config.h").read_text()
+    usual, fewest = re.findall(r" takes ([\d,]+) bytes", written)
+    said = f"{usual} bytes for that of the paper, and {fewest} in place"
+    write_text(manual, re.sub(r"[\d,]+ bytes for that of the paper, and [\d,]+ in place", said, manual.read_text()))
+    copied, placed = (int(size.replace(",", "")) / 1000 for size in (usual, fewest))
+    text = re.sub(r"(paper's arm:) \d+ kB for", rf"\1 {copied:.0f} kB for", tasks.read_text())
+    write_text(tasks, re.sub(r"; [\d.]+ kB where", f"; {placed:.1f} kB where", text))
+    said = f"{copied:.0f} kB, or {placed:.1f} kB where frames wait"
+    write_text(readme, re.sub(r"\d+ kB, or [\d.]+ kB where frames wait", said, readme.read_text()))
+    large = memory({"ZYGOS_MAX_JOINTS": 7, "ZYGOS_SPATIAL": 1, "ZYGOS_MAX_BLOCKS": 32})
+    together = (sum(large.values()) - large["configuration"]) / 1e6
+    text = re.sub(r"(estimate, take|joints take) [\d.]+ MB", rf"\1 {together:.1f} MB", ROW.sub(row, cost.read_text()))
+    two, three, seven = (in_place(sizes(*given, *least)) for _, _, given, least in BUILDS)
     said = (
         f"takes {two / 1000:.0f} kB for two joints, {three / 1000:.0f} kB for three and {seven / 1e6:.1f} MB\nfor seven"
     )

@@ -112,20 +112,21 @@ def test_the_memory_of_a_build_is_what_its_compiler_says(capacities: dict[str, i
     assert memory({f"ZYGOS_{name}": value for name, value in capacities.items()}) == sizes
 
 
-def test_a_reduced_arm_has_the_least_parameters_that_a_build_can_have() -> None:
+def test_an_arm_has_the_parameters_that_it_needs_or_the_least_that_a_build_can_have() -> None:
     config = ffi.new("zygos_config_t *")
     config.joints, config.reduced, config.reductions, config.effects = 3, 5, 5, 1
     assert least_build(config[0])["ZYGOS_MAX_PARAMETERS"] == 9
     config.reduced = 11
     assert least_build(config[0])["ZYGOS_MAX_PARAMETERS"] == 12
+    config.reduced, config.reductions = 0, 0  # planar, links whose centres of mass are on the lines between the joints
+    assert least_build(config[0])["ZYGOS_MAX_PARAMETERS"] == 10 + 3 * 3 + 1
 
 
 def test_rows_that_are_not_used_have_the_fewest_blocks() -> None:
     """Where rigid joints on a fixed base are estimated by joint rows alone, no energy row is solved."""
     config = ffi.new("zygos_config_t *")
     config.joints, config.base, config.impulse_arc_cycles, config.joint_row_cycles = 1, lib.ZYGOS_BASE_FREE, 100, 50
-    assert least_build(config[0])["ZYGOS_MAX_BLOCKS"] == 32
-    assert "ZYGOS_MAX_MOTOR_BLOCKS" not in least_build(config[0])
+    assert not {"ZYGOS_MAX_BLOCKS", "ZYGOS_MAX_MOTOR_BLOCKS"} & set(least_build(config[0]))
     config.base, config.joint[0].rigid, config.impulse_arc_cycles = lib.ZYGOS_BASE_FIXED, 1, 0
     assert least_build(config[0])["ZYGOS_MAX_BLOCKS"] == 11
     assert least_build(config[0])["ZYGOS_MAX_MOTOR_BLOCKS"] == 4

@@ -255,7 +255,7 @@ def test_a_change_and_arcs_that_were_left_out_are_told(recording: Path, tmp_path
     arm = load_arm(ARM)
     watch = watched(arm, bus.read_log(recording).frames)
     deviation = np.where([name == "k2" for name in arm.parameter_names], 9.0, 0.5)
-    drift = Drift(arm.parameter_names, deviation, "", 1.0, 640)
+    drift = Drift(arm.parameter_names, deviation, "", 640)
     watch.left_out.append(LeftOut("energy", 100, 310))
     result = replace(watch.flight.estimate(), left_out=(1, 0, 0), validity="doubtful", reason="the arm changed")
     file = tmp_path / "page.html"

@@ -126,10 +126,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             }
             break;
         case 5: {
-            double deviation[ZYGOS_MAX_PARAMETERS];
             zygos_arm_take(&arm, &work);
             damage(&bytes, &work, sizeof work);
-            (void)zygos_detect_change(&work, &estimate, deviation);
+            (void)zygos_work_solve(&work, &estimate);
             break;
         }
         case 6: { /* a stored state that was damaged before it was sealed */

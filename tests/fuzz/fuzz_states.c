@@ -312,9 +312,6 @@ static bool misuse(uint64_t from, const zygos_config_t *config, const region_t *
 
 static int solve(void)
 {
-    static double deviation[ZYGOS_MAX_PARAMETERS];
-    zygos_arm_take(&arm, &work);
-    (void)zygos_detect_change(&work, &estimate, deviation);
     zygos_arm_take(&arm, &work);
     return zygos_work_solve(&work, &estimate);
 }

@@ -74,25 +74,25 @@ def looks(share: float, seed: int) -> list[Look]:
     return found
 
 
-SHARES = {"none": (0.0, 0, 0), "2": (0.02, 0, 8), "5": (0.05, SEEDS, SEEDS)}
-"""How much heavier the last link becomes, and how many of the seeds have to and may report it. Of 3 % nine do."""
+SHARES = {"none": (0.0, 0, 0), "2": (0.02, 0, 8), "10": (0.1, SEEDS, SEEDS)}
+"""How much heavier the last link becomes, and how many of the seeds have to and may report it. Of 5 % six do."""
 
 
-@pytest.mark.slow(but=["5-1"])
+@pytest.mark.slow(but=["10-1"])
 @pytest.mark.parametrize("seed", range(SEEDS))
-@pytest.mark.parametrize("name", ["5"])
-def test_a_link_that_is_5_percent_heavier_is_reported_within_one_and_a_half_arcs(name: str, seed: int) -> None:
+@pytest.mark.parametrize("name", ["10"])
+def test_a_link_that_is_10_percent_heavier_is_reported_within_an_arc(name: str, seed: int) -> None:
     """From then on no value is published, until the program restarts the estimate."""
     found = looks(SHARES[name][0], seed)
     told = next(k for k, one in enumerate(found) if one.changed)
-    assert found[told].arcs < 1.5
+    assert found[told].arcs < 1.0
     assert all(one.doubted for one in found[told:])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["none", "2"])
 def test_what_is_not_reported_is_hardly_wrong(name: str) -> None:
-    """Without a change nothing is. Below the size that is reported, values are off by no more than the change."""
+    """Without a change nothing is. Of a very small change, values are off by no more than it is."""
     share, least, most = SHARES[name]
     every = [looks(share, seed) for seed in range(SEEDS)]
     assert least <= sum(any(one.changed for one in found) for found in every) <= most

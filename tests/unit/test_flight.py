@@ -437,7 +437,7 @@ def test_refused_instants_have_no_weight_but_the_arc_runs_on(arm: Arm) -> None:
 def even_blocks(instants: list[float]) -> None:
     """Enough blocks, and none with so much of the data that leaving it out tells about the rest only."""
     assert MAX_BLOCKS // 4 <= len(instants) <= MAX_BLOCKS
-    assert max(instants) <= sum(instants) / 6
+    assert max(instants) <= sum(instants) / 3
 
 
 def instants_of(flight: Flight) -> list[float]:
@@ -590,13 +590,13 @@ def test_too_few_data(arm: Arm, instants: int) -> None:
 
 
 def test_just_enough_data_are_not_refused_as_too_few(arm: Arm) -> None:
-    """Each segment has a block of its own, and the first one two: eight are enough."""
+    """Each segment has a block of its own, and the first one two: four are enough, and three instants a parameter."""
     flight, run, opened = Flight(arm), sines(arm, 400), {}
     for k in range(0, 304, 8):  # segments are whole buffers
         flight.cycles(part(run, k, k + 8))
         opened.setdefault(flight.estimate().blocks, k)
     segment = opened[4] - opened[3]
-    for segments, few in ((6, True), (7, False)):
+    for segments, few in ((2, True), (3, False)):
         instants = segments * segment
         estimate = fed(arm, closing(arm, fill(arm) + instants)).estimate()
         assert (estimate.accepted, estimate.blocks) == (instants, segments + 1)
@@ -690,7 +690,7 @@ def test_not_physical(arm: Arm, name: str, value: float) -> None:
     np.testing.assert_allclose(estimate.value, parameters, rtol=1e-10)
 
 
-@pytest.mark.parametrize("rest", [200, 9000])
+@pytest.mark.parametrize("rest", [200, 9000, 40_000])
 def test_rest_after_motion_is_not_called_corrupt(arm: Arm, rest: int) -> None:
     """The constants of an arc at rest are far larger than what remains of them once its mean is taken away."""
     flight = fed(arm, closing(arm, 2000))
@@ -791,15 +791,3 @@ def test_a_cycle_of_encoders_apart_behind_the_first_one_is_a_gap(arm: Arm) -> No
     run.theta[1, 0] -= 9.0 * np.pi
     flight = fed(arm, run)
     assert (flight.counts["wraps"], flight.counts["apart"], flight.counts["gaps"]) == (0, 1, 1)
-
-
-def test_a_comparison_that_is_refused_writes_all_of_the_estimate(arm: Arm) -> None:
-    flight = fed(arm, closing(arm, 200))
-    work, out, deviation = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("double[]", 256)
-    ffi.memmove(out, b"\xa5" * ffi.sizeof("zygos_estimate_t"), ffi.sizeof("zygos_estimate_t"))
-    lib.zygos_arm_take(flight.native, work)
-    assert lib.zygos_detect_change(work, out, deviation) == 0
-    assert (out.validity, out.reason) == (lib.ZYGOS_REFUSED, lib.ZYGOS_REASON_NO_DATA)
-    assert (out.accepted, out.refused, out.since, out.arcs, out.rank, out.consecutive) == (0, 0, 0, 0, 0, 0)
-    assert list(out.left_out) == [0, 0, 0]
-    assert (out.condition, out.cluster, out.residual) == (0.0, 0.0, 0.0)

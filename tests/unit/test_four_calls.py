@@ -68,7 +68,7 @@ def test_the_copy_by_parts_is_that_of_one_moment(kind: str) -> None:
                     getattr(whole.sums, name)[before] = getattr(now.sums, name)[before]
             if before < len(now.sums.forgetting):
                 whole.sums.forgetting[before] = now.sums.forgetting[before]
-        if loop.native.stage == GIVEN and loop.memory.compares == 0:
+        if loop.native.stage == GIVEN:
             whole.sums.config = loop.config[0]
             once = ffi.new("zygos_estimate_t *")
             lib.zygos_work_solve(whole, once)
@@ -98,7 +98,7 @@ def test_the_loop_learns_what_one_solution_of_all_does() -> None:
     true = load_model(EXAMPLE / "model.toml").base_values(arm)
     assert np.all(np.abs(value - true) < 3.0 * sigma)
     assert np.all(np.abs(value - once.value) < 2.0 * sigma)
-    assert sigma == pytest.approx(once.sigma, rel=0.5), "blocks that end elsewhere scatter otherwise"
+    assert sigma == pytest.approx(once.sigma, rel=1.0), "blocks that end elsewhere scatter otherwise"
     kept = accepted(loop.state) / max(accepted(flight.native), 1)
     assert kept > 0.98, "arcs that waited for the copies have cost few rows"
 
@@ -173,10 +173,10 @@ def test_an_estimate_of_the_sums_before_a_restart_is_not_returned() -> None:
     arm, motion = recording()
     cycles = again(arm, motion, 1, np.random.default_rng(3))
     loop, array, k = Loop(config_of(arm)), native_cycles(cycles), 0
-    while not (loop.native.stage == GIVEN and loop.memory.compares == 0 and k > 900):
+    while not (loop.native.stage == GIVEN and k > 900):
         loop.cycle(array + k)
         k += 1
-        if k < 900 or loop.native.stage != GIVEN or loop.memory.compares == 1:
+        if k < 900 or loop.native.stage != GIVEN:
             loop.solve()
     assert lib.zygos_restart(loop.native, lib.ZYGOS_KEEP_FAULTS | lib.ZYGOS_KEEP_JOINTS) == 1
     assert loop.solve() == 0

@@ -19,7 +19,7 @@ from zygos.arm import Arm, TorqueLaw, load_arm
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_left_out
 from zygos.model.model import Model, Quantity, load_model
-from zygos.native.flight import REASONS, Blocks, Estimate, Flight, encode, ffi, lib
+from zygos.native.flight import Blocks, Estimate, Flight, encode, ffi, lib
 from zygos.reference.compare import check_chain, check_cycles, check_frames
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import Trajectory, record
@@ -257,7 +257,7 @@ def test_a_change_soon_after_the_first_arc_is_learned_anew(motion: Trajectory) -
     assert left_out >= 3 and last < end - 300  # the arcs behind it are as bad
     early.estimate()
     assert not early.adopt()
-    flight.cycles(part(faulty, end, len(faulty)))
+    flight.cycles(behind(part(faulty, end, len(faulty)), part(seen(motion, 1), 0, 500)))
     assert flight.left_out[0] == left_out
     assert "the arm changed" in flight.estimate().reason
     assert flight.adopt()
@@ -280,7 +280,9 @@ def test_what_is_wrong_with_every_arc_stays_a_refusal(law: TorqueLaw, motion: Tr
     for first in range(0, len(cycles), 200):
         flight.cycles(part(cycles, first, first + 200))
         estimate = flight.estimate()
-        assert estimate.validity in ("refused", "doubtful")
+        # the few values that are told without a doubt are right
+        right = estimate.validity == "partial" and np.nanmax(far(estimate, motion)) < 1.0
+        assert right or estimate.validity in ("refused", "doubtful")
         assert not flight.adopt()
     assert flight.counts["accepted"] > 3000
 
@@ -423,16 +425,17 @@ def test_an_estimate_without_residuals_judges_no_arc(motion: Trajectory) -> None
 
 
 def test_the_open_arc_is_compared_with_those_before_it_once_it_is_long_enough(motion: Trajectory) -> None:
-    """By a flight that leaves arcs out; one that is too short is judged like any other."""
+    """By a flight that leaves arcs out; until then the arc before it is, if there is one."""
     arm, cycles = motion.arm, seen(motion, 0)
     flight, at = Flight(arm), 2000
     flight.cycles(part(cycles, 0, at))
     flight.estimate()
     assert flight.adopt()
-    for behind in (60, 390):
+    for behind, compared in ((60, False), (390, True), (480, True)):
         flight.cycles(part(cycles, int(flight.native.sums.cycle) + 1, at + behind))
         drift = flight.drift()
-        assert drift.changed == () and np.isfinite(drift.deviation).all()
+        assert drift.changed == ()
+        assert np.isfinite(drift.deviation).all() == compared
 
 
 @pytest.mark.parametrize(("freedom", "error"), [(10.0, 0.05), (100.0, 0.004), (1e4, 1e-4)])
@@ -513,12 +516,6 @@ def only_the_newest(blocks: Blocks, instants: float) -> Blocks:
         first -= 1
         instants -= blocks.energy[first][2]
     return replace(blocks, energy=blocks.energy[first:])
-
-
-def test_where_the_arcs_before_do_not_close_and_the_newest_does_the_answer_says_so(motion: Trajectory) -> None:
-    flight = Flight(replace(motion.arm, momentum_max_s=ARC_S))
-    flight.cycles(stuck("q", 100, 60)(part(seen(motion, 0), 0, round(6.2 * ARC_S / motion.arm.period_s))))
-    assert flight.drift().reason == REASONS[lib.ZYGOS_REASON_UNCLOSED]
 
 
 def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Trajectory) -> None:

@@ -133,7 +133,7 @@ def test_blocks_merge_and_lose_nothing() -> None:
     blocks, noise, (sums, flight) = closed(arm, cycles)
     assert list(flight.native.waited) == [0, 0, 0]
     capacity = len(sums.block) - 1
-    assert capacity == 16 < len(expected)
+    assert capacity == 8 < len(expected)
     assert 4 <= len(blocks) <= capacity
     total = sum(expected, start=np.zeros(()))
     assert_close(sum(blocks, start=noise), total, 1e-12)
@@ -400,7 +400,7 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
         own[np.ix_(places, places)] = work.solver.momentum_weight * symmetric(block.rows.gram, sums.columns)
         parts.append(own)
         factors.append(1.0)
-    assert sums.store.closed == 8
+    assert sums.store.closed == 7
     whole = sum(parts, start=np.zeros(()))
     scale = 1.0 / np.sqrt(np.diag(whole))[:p]
 
@@ -419,7 +419,11 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
     share = np.sqrt(variances.max(axis=0) / np.diag(covariance))
     covariance *= np.outer(share, share)
     # blocks whose residuals add up are taken to be alike; what undeclared noise may hide is added to the diagonal
-    covariance *= 1.0 + (len(blocks) - 1) * max(0.0, 1.0 - 1.0 / found.cluster)
+    # and so is, in an arc, what the declared noise does not explain
+    adds = (len(blocks) - 1) * max(0.0, 1.0 - 1.0 / found.cluster)
+    unexplained = 1.0 - work.solver.noise_scale / found.noise_ratio if found.noise_ratio > 0.0 else 1.0
+    arcs = sum(block.head.total for block in blocks) / work.sums.config.arc_cycles
+    covariance *= 1.0 + max(adds, arcs * max(0.125, unexplained))
     # the noise of the torques, all along each block, between whose ends the sums of rows change evenly: two places
     # of Gauss are exact for the square of what is linear
     sums_of_rows, places_of = np.zeros(p), 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)

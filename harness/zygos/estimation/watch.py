@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.estimation.remedies import Known
-from zygos.native.flight import Drift, Flight, LeftOut, Trace, ffi
+from zygos.native.flight import Drift, Flight, LeftOut, Trace
 from zygos.runs.cycles import Cycles
 
 SYNC = 0x080
@@ -57,8 +57,6 @@ class Watch:
         self._traces: list[Trace] | None = [] if trace else None
         self._left_out = 0
         self._settled: Drift | None = None
-        self._open = Flight(flight.arm, flight.effects)
-        """A second flight that admits the arcs that contradict: only these can show that the arm changed."""
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
         others = max(flight.arm.impulse_arc_s, flight.arm.momentum_arc_s)
@@ -69,7 +67,6 @@ class Watch:
         starts = np.flatnonzero(frames["id"] == SYNC)
 
         def feed(first: int, last: int) -> Trace | None:
-            self._open.frames(frames[first:last])
             return self.flight.frames(frames[first:last], trace=self._traces is not None)
 
         self._feed(starts, len(frames), feed, progress)
@@ -79,7 +76,6 @@ class Watch:
 
         def feed(first: int, last: int) -> Trace | None:
             part = Cycles(*(getattr(cycles, field.name)[first:last] for field in fields(Cycles)))
-            self._open.cycles(part)
             return self.flight.cycles(part, trace=self._traces is not None)
 
         self._feed(np.arange(len(cycles)), len(cycles), feed, progress)
@@ -128,11 +124,8 @@ class Watch:
         self._note_arcs()
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
         if not estimate.consecutive:
-            ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_arm_t"))
-            self._open.native.sums.guard.known = 0
             self.plainest = self._settled  # the deviation in arcs that were left out was not a change
-        # segments of joint rows that contradict are kept, and need no second flight that admits them
-        drift = (self.flight if self.flight.joints_alone else self._open).drift()
+        drift = self.flight.drift()
         best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
         # motor rows from the time of an arc that was left out are no evidence about an arc that agrees
         spoilt = not estimate.consecutive and any(arc.last + self._reach > drift.until for arc in self.left_out)

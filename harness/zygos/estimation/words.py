@@ -93,9 +93,8 @@ def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
             "the log there, or let old arcs fade ([arc] memory_min); on board call zygos_arm_restart()"
         )
     return (
-        f"the data {at} contradict the data before, in standard deviations: {names}; but the balance does not "
-        f"close on both sides (residuals add up {drift.cluster:.0f} times in a block; noise would once), so the cause "
-        "is a delay or a scale, an effect without a column, for instance friction, in a different motion, or a change "
-        "of the arm; remedy: `zygos check-arm`, then name friction with --model, and estimate both parts of the log "
-        "separately: if each balance closes, the arm is another one there"
+        f"the data {at} contradict the data before, in standard deviations: {names}; but what the values of their own "
+        "leave over is not noise, so the cause is a delay or a scale, an effect without a column, for instance "
+        "friction, in a different motion, or a change of the arm; remedy: `zygos check-arm`, then name friction with "
+        "--model, and estimate both parts of the log separately: if each balance closes, the arm is another one there"
     )

@@ -215,18 +215,16 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Drift:
-    """The newest arc against all before it."""
+    """The newest arc against the running solution."""
 
     names: tuple[str, ...]
     deviation: NDArray[np.float64]
-    """(p,) how far the newest arc's own value lies from what was known before, in standard deviations of the
-    difference; NaN where either does not know."""
+    """(p,) how far the newest arc's own value lies from the running solution's, in standard deviations of the
+    difference; NaN where the arc does not tell, or nothing was compared."""
     reason: str
-    """Why nothing was known before, or why a deviation proves no change: the balance does not close; or empty."""
-    cluster: float
-    """How far residuals add up in a block, on the side where they do more: around 1 for noise."""
+    """Why nothing was compared, or why a deviation proves no change: the balance does not close; or empty."""
     until: int
-    """Number of the newest cycle of what was known before."""
+    """Number of the newest cycle before this arc."""
 
     @property
     def largest(self) -> float:
@@ -459,7 +457,6 @@ class Flight:
         self.units = (*(one.unit for one in own), *(effect.kind.unit for effect in self.effects))
         self._work = ffi.new("zygos_work_t *")
         self._estimate = ffi.new("zygos_estimate_t *")
-        self._before = ffi.new("zygos_estimate_t *")
         drives = [first + joint.node for joint in arm.joints for first in (0x180, 0x280)]
         self._own = np.array([0x080, 0x3A0, *drives, *(first + arm.imu.node for first in (0x180, 0x380))])
         self.fd_frames = 0
@@ -528,13 +525,12 @@ class Flight:
         return bool(lib.zygos_arm_adopt(self.native, self._estimate) == 1)
 
     def drift(self) -> Drift:
-        """Compare the newest arc with all before it. The accumulation is not disturbed."""
-        deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
+        """Compare the newest arc with the running solution that was adopted. The accumulation is not disturbed."""
         lib.zygos_arm_take(self.native, self._work)
-        lib.zygos_detect_change(self._work, self._before, deviation)
-        out, p = self._before, len(self.names)
-        far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
-        return Drift(self.names, far, REASONS[out.reason], float(out.cluster), int(out.cycle))
+        lib.zygos_work_solve(self._work, self._estimate)
+        out, p = self._work.solver.newest, len(self.names)
+        far = np.frombuffer(ffi.buffer(out.deviation), dtype=np.float64)[:p].copy()
+        return Drift(self.names, far, REASONS[out.reason], int(out.until))
 
     def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
         """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""

@@ -19,8 +19,6 @@ _ENUMS = {
 """Fields that hold a value of an enumeration."""
 
 
-_BLOCKS = 32
-"""With fewer blocks, `zygos_detect_change()` does not always find enough of them before the newest arc."""
 _FEWEST = {"ZYGOS_MAX_BLOCKS": 11, "ZYGOS_MAX_MOTOR_BLOCKS": 4, "ZYGOS_MAX_MOMENTUM_BLOCKS": 4}
 """The least of a build."""
 _COUNTED = {"joint": "joints", "effect": "effects", "reduction": "reductions"}
@@ -34,25 +32,30 @@ def capacities(config: Any) -> dict[str, int]:
         "ZYGOS_MAX_HALF_WIDTH": config.smoother_half_width,
         "ZYGOS_MAX_EFFECTS": config.effects,
         "ZYGOS_MAX_REDUCTION": config.reductions,
-        "ZYGOS_MAX_PARAMETERS": config.reduced + config.effects if config.reduced > 0 else 0,
+        "ZYGOS_MAX_PARAMETERS": _parameters(config),
         "ZYGOS_SPATIAL": int(config.kinetic == library.lib.ZYGOS_SPATIAL_ARM),
         "ZYGOS_MOMENTUM": int(config.momentum_arc_cycles > 0),
         "ZYGOS_JOINT_ROWS": int(config.joint_row_cycles > 0),
     }
 
 
+def _parameters(config: Any) -> int:
+    """Number of parameters, with those of the effects."""
+    reduced = config.reduced + config.effects
+    return int(reduced if config.reduced > 0 else library.lib.zygos_balance_columns(library.ffi.addressof(config)))
+
+
 def least_build(config: Any) -> dict[str, int]:
     """The capacities of the smallest build that holds a ``zygos_config_t`` and has every function, by macro; the
     others are the defaults."""
     needs = capacities(config)
-    alone = library.lib.zygos_joint_sums_suffice(library.ffi.addressof(config))
-    needs["ZYGOS_MAX_BLOCKS"] = _FEWEST["ZYGOS_MAX_BLOCKS"] if alone else _BLOCKS
+    if library.lib.zygos_joint_sums_suffice(library.ffi.addressof(config)):
+        needs["ZYGOS_MAX_BLOCKS"] = _FEWEST["ZYGOS_MAX_BLOCKS"]
     if config.impulse_arc_cycles == 0:
         needs["ZYGOS_MAX_MOTOR_BLOCKS"] = _FEWEST["ZYGOS_MAX_MOTOR_BLOCKS"]
-    parameters = needs["ZYGOS_MAX_PARAMETERS"]
-    # Without a reduction the parameters are the columns, and a build takes the default; with one, at least 2 N + 3.
-    needs["ZYGOS_MAX_PARAMETERS"] = max(parameters, 2 * needs["ZYGOS_MAX_JOINTS"] + 3)
-    return {name: value for name, value in needs.items() if parameters > 0 or name != "ZYGOS_MAX_PARAMETERS"}
+    # fewer are no build
+    needs["ZYGOS_MAX_PARAMETERS"] = max(needs["ZYGOS_MAX_PARAMETERS"], 2 * needs["ZYGOS_MAX_JOINTS"] + 3)
+    return needs
 
 
 def in_place_build(config: Any) -> dict[str, int]:

@@ -51,6 +51,8 @@ extern "C" {
 #define ZYGOS_GUARD_CLUSTER 0.25
 /// Residuals below this share of the spread of the right side do not contradict.
 #define ZYGOS_GUARD_SHARE 1e-3
+/// Arcs that are held together have at least this number of instants for each parameter, and half those of the longest.
+#define ZYGOS_GUARD_HELD 25.0
 /// Number of excluded arcs whose places are recorded.
 #define ZYGOS_GUARD_ARCS 16u
 
@@ -112,6 +114,13 @@ typedef struct {
     zygos_mean_squares_t momentum;
     double solution[ZYGOS_MAX_PARAMETERS];
     double covariance[ZYGOS_MAX_PACKED]; ///< Widened as the 95 % intervals are.
+    uint64_t held_after;                 ///< Number of the newest cycle before the arcs in held.
+    double held_instants;                ///< Their instants; 0 while an arc is added.
+    double held_before;                  ///< Those without the arc that is added.
+    uint32_t held_anew;                  ///< 1: it is the first of them.
+    uint32_t held_arcs;                  ///< Their number.
+    zygos_noise_sums_t held; ///< Sums of the newest arcs of energy rows that were compared, excluded or not, without
+                             ///< their constants (change.h).
 } zygos_guard_t;
 
 /// Discards the running solution. counters: true to clear the counters of excluded arcs as well. cycle: estimates up to
@@ -121,6 +130,13 @@ void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle);
 /// Returns whether flags and counts are possible. A corrupt running solution need not be detected here: its checksum
 /// does not match when the next arc ends, and it is discarded. Cost: a few comparisons.
 bool zygos_guard_intact(const zygos_guard_t *self);
+
+/// Returns the number of instants with which arcs that are held are compared (change.h).
+double zygos_guard_enough(const zygos_config_t *config, uint32_t parameters);
+
+/// Returns whether there is a running solution of p parameters with the right checksum; otherwise it is discarded.
+/// Cost: one pass over its covariance.
+bool zygos_guard_has_solution(zygos_guard_t *self, uint32_t parameters);
 
 /// Takes over the running solution that zygos_guard_adopt() has written into another one. Cost: one copy of it.
 void zygos_guard_take_over(zygos_guard_t *self, const zygos_guard_t *from);

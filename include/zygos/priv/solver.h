@@ -13,6 +13,7 @@
 
 #include "../estimate.h"
 #include "../types.h"
+#include "change.h"
 #include "sums.h"
 
 #ifdef __cplusplus
@@ -75,12 +76,8 @@ extern "C" {
 /// solution without it, and the second, smaller limit holds for them.
 #define ZYGOS_SIGMA_LIMIT 0.25
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
-/// The least number of groups of joint rows from which standard deviations are computed.
+/// The least number of blocks, or of groups of joint rows, from which standard deviations are computed.
 #define ZYGOS_MIN_GROUPS 4u
-/// Deviation of the newest arc from all arcs before it, in standard deviations, from which on it is a change.
-#define ZYGOS_CHANGE_ALARM 6.0
-/// The least number of blocks before the newest arc: the scatter of fewer blocks causes false alarms.
-#define ZYGOS_CHANGE_MIN_BLOCKS 8u
 /// The gain of a torque sensor differs from what is declared of it where the estimate of its error exceeds this number
 /// of standard deviations, by the declared errors and the scatter of the blocks together.
 #define ZYGOS_GAIN_SIGMAS 3.0
@@ -137,6 +134,7 @@ typedef struct {
     double noise_fraction;                ///< Their share of the noise of all closed arcs.
     double noise_scale;                   ///< Share of the declared noise that is subtracted.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS]; ///< The columns, the independent ones first.
+    zygos_change_t newest;                ///< What was found of a change of the arm, unless the sums were corrupt.
 } zygos_solver_t;
 
 /// A copy of the sums, and scratch memory of the solver. It is filled by zygos_arm_take() and consumed by
@@ -169,33 +167,6 @@ int zygos_work_solve(zygos_work_t *work, zygos_estimate_t *out);
 /// afterwards. Cost: as zygos_work_solve().
 int zygos_solver_solve(zygos_solver_t *self, zygos_estimate_t *out);
 int zygos_solver_refuse(zygos_estimate_t *out);
-
-/// Detects a change of the arm by comparing the newest arc with all arcs before it. An arc with fewer than half the
-/// instants of the longest arc is not compared by itself: several such arcs count together once they have as many.
-/// Writes the estimate of the arcs before into *out (it ends with out->cycle; its sigmas are without the floor, because
-/// both sides of the comparison share systematic errors), and into deviation[ZYGOS_MAX_PARAMETERS] the difference of
-/// the newest arc's own values from it, in standard deviations of the difference (from half95). There must be
-/// ZYGOS_CHANGE_MIN_BLOCKS blocks before the newest arc; a build with ZYGOS_MAX_BLOCKS of 32 or more keeps these, a
-/// build with 11 never has them.
-///
-/// A deviation of ZYGOS_CHANGE_ALARM or more is a change of the arm where the balance closes on both sides (validity
-/// ZYGOS_VALID). Where it does not close on one side (ZYGOS_DOUBTFUL with ZYGOS_REASON_UNCLOSED; cluster is the larger
-/// of the two), the cause may also be an effect without a column, for example friction, in a different motion: then the
-/// deviation does not prove a change. While one of the two sides contains the arm before and after the change, more
-/// parameters may deviate than have changed. Call it twice in an arc, because the changed arc is on the side before as
-/// soon as the next arc is compared. The open arc is compared even if it contradicts the running solution (guard.h). If
-/// there is a running solution, a newest arc that its own solution does not explain is not a change.
-///
-/// Joint rows beside energy rows take no part: the groups belong to the whole run. Where joint rows alone determine the
-/// estimate, the guard sees that the arm has changed (guard.h), and this function tells in what: it compares the
-/// consecutive segments that contradict the running solution, but for the first, with those of the estimate. As long as
-/// the guard sees no change there is no comparison (ZYGOS_REASON_NO_DATA), and the deviations are NaN until the
-/// segments determine all parameters.
-///
-/// The function changes *work, as zygos_work_solve() does: call zygos_arm_take() before each of them. Returns 1; 0 when
-/// all deviations are NaN, because something is not identifiable or not explained, either before (validity is then
-/// ZYGOS_REFUSED) or in the newest arc; or ZYGOS_E_NULL.
-int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus
 }

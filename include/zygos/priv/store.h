@@ -60,13 +60,10 @@ typedef struct {
     uint32_t count;    ///< Number of blocks in use: of closed arcs, of the closing one, and of the open one.
     uint32_t closed;   ///< Number of blocks of closed arcs, which are the first.
     uint32_t fresh;    ///< The first block of the open arc; closed, if no arc is closing.
-    uint32_t newest;   ///< First block of the newest arcs that have enough instants to be compared.
-    uint32_t window;   ///< First block of the arcs after these, which do not have enough yet.
     uint32_t ready;    ///< Number of free blocks that are cleared; they have the last places in order.
     uint32_t open;     ///< Place of the block of the open arc; 0 of energy rows.
     uint32_t arcs;     ///< Arcs that were admitted. This and arcs_dropped wrap at 2^32.
     uint64_t accepted; ///< Instants of these arcs, without those of dropped ones.
-    double enough;     ///< Instants with which arcs are compared; 0: they are not.
     double target;     ///< Instants up to which blocks are merged; of energy rows also of the next segment.
     double noise_fade; ///< Factor of the noise of closed arcs.
     uint8_t order[ZYGOS_ORDER_PLACES]; ///< The places of the blocks in order of time, then those of free blocks.
@@ -131,8 +128,8 @@ const zygos_block_head_t *zygos_store_head(const zygos_store_t *self, uint32_t k
 double zygos_store_instants_of(const zygos_store_t *self, uint32_t kind, uint32_t rank);
 double zygos_store_instants(const zygos_store_t *self, uint32_t kind);
 
-/// Clears the sums of all arcs. target, enough: as the members. Needs the tables. Cost: one pass over all blocks.
-void zygos_store_clear(zygos_store_t *self, uint32_t kind, double target, double enough);
+/// Clears the sums of all arcs. target: as the member. Needs the tables. Cost: one pass over all blocks.
+void zygos_store_clear(zygos_store_t *self, uint32_t kind, double target);
 
 /// Returns whether every index and count is possible; used: there are such rows. The other functions rely on that and
 /// do not check it. Reads nothing outside the sums, whatever memory says. Cost: a few comparisons for each block.
