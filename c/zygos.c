@@ -422,8 +422,8 @@ static void adopt(zygos_t *self, const zygos_given_t *given)
         self->waited++;
         return;
     }
-    arm->beside = 1u;
     if (self->adopting != SET) { /* in a cycle of its own, because the checksum costs as much as the adoption */
+        arm->beside = 1u;
         self->adopting = (*seal_of(given) == checksum_of(given, estimate)) ? SET : SPOILED;
         if (self->adopting == SET) {
             return;
