@@ -1900,7 +1900,8 @@ static uint32_t choose_from(zygos_solver_t *work, uint32_t p, uint32_t first, co
         choose_anew(work, p, first, work->sums->energy.store.closed);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
-    if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) || (out->blocks < ZYGOS_MIN_GROUPS)) {
+    if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
+        (out->blocks < ((joints || (first > 0)) ? ZYGOS_MIN_GROUPS : ZYGOS_LEAST_BLOCKS))) {
         /* A refused instant costs a whole increment, so that no row may be left of a fast motion. */
         return (joints && (out->refused > out->accepted)) ? ZYGOS_REASON_TOO_FAST : ZYGOS_REASON_NO_DATA;
     }

@@ -20,7 +20,7 @@ enum zygos_validity {
 /// Why an estimate is not valid.
 enum zygos_reason {
     ZYGOS_REASON_NONE = 0,    ///< The estimate is valid.
-    ZYGOS_REASON_NO_DATA = 1, ///< Fewer than three accepted instants for each parameter, or than four blocks.
+    ZYGOS_REASON_NO_DATA = 1, ///< Fewer than three accepted instants for each parameter, or too few blocks.
     ZYGOS_REASON_NOT_IDENTIFIABLE =
         2, ///< The motion does not determine every parameter, as rank or sigmas show, or the
            ///< arm is at rest: move every joint, and those most whose parameters are missing.

@@ -80,7 +80,8 @@ def test_where_old_arcs_fade_the_answer_follows(
         out = tmp_path / "m.toml"
         numbers = tmp_path / "m.json"
         assert run("estimate", folder / "changed.blf", "--arm", arm, "-o", out, "--json", numbers) in (0, 3)
-        assert "warning: the arm changed after 1" in capsys.readouterr().err
+        said = capsys.readouterr().err  # arcs of 20 s hardly tell a change from an effect that is missing
+        assert "warning: the arm changed after 120 s" in said or "warning: the data after 120 s contradict" in said
         off.append(abs(json.loads(numbers.read_text())["solution"][5] / heavy_a22() - 1.0))
     assert off[0] < 0.04 < 0.1 < off[1]
     arm.write_text((EXAMPLE / "arm.toml").read_text() + "[arc]\nmemory_min = 0.0\n")

@@ -212,8 +212,7 @@ def test_several_in_a_row_are_a_change_of_the_arm(motion: Trajectory) -> None:
     cycles = behind(seen(motion, 0), part(heavy, 0, 1500))
     watch = watched(arm, cycles)
     estimate = watch.flight.estimate()
-    assert estimate.validity == "doubtful" and estimate.consecutive >= 3
-    assert "the arm changed" in estimate.reason
+    assert estimate.validity == "doubtful" and estimate.left_out[0] >= 3
     # the values are still those of the arm before
     assert np.mean(far(estimate, motion) > 1.0) < 0.3
     found = watch.look()
@@ -257,7 +256,7 @@ def test_a_change_soon_after_the_first_arc_is_learned_anew(motion: Trajectory) -
     assert left_out >= 3 and last < end - 300  # the arcs behind it are as bad
     early.estimate()
     assert not early.adopt()
-    flight.cycles(behind(part(faulty, end, len(faulty)), part(seen(motion, 1), 0, 500)))
+    flight.cycles(behind(part(faulty, end, len(faulty)), part(seen(motion, 1), 0, 1000)))
     assert flight.left_out[0] == left_out
     assert "the arm changed" in flight.estimate().reason
     assert flight.adopt()
@@ -280,9 +279,7 @@ def test_what_is_wrong_with_every_arc_stays_a_refusal(law: TorqueLaw, motion: Tr
     for first in range(0, len(cycles), 200):
         flight.cycles(part(cycles, first, first + 200))
         estimate = flight.estimate()
-        # the few values that are told without a doubt are right
-        right = estimate.validity == "partial" and np.nanmax(far(estimate, motion)) < 1.0
-        assert right or estimate.validity in ("refused", "doubtful")
+        assert estimate.validity in ("refused", "doubtful")
         assert not flight.adopt()
     assert flight.counts["accepted"] > 3000
 

@@ -137,7 +137,8 @@ def test_the_guard_leaves_an_arc_out_as_when_it_ends() -> None:
     answer, out = in_place(flight)
     assert answer == 1
     assert sum(out.left_out) == flight.left_out[0] > left_out
-    assert lib.zygos_arm_adopt(flight.native, out) == 1
+    # the arc is too short to be compared by itself, and no estimate is adopted before that
+    assert lib.zygos_arm_adopt(flight.native, out) == 0
 
 
 def test_misuse_is_refused() -> None:

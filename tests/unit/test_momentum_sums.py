@@ -133,7 +133,7 @@ def test_blocks_merge_and_lose_nothing() -> None:
     blocks, noise, (sums, flight) = closed(arm, cycles)
     assert list(flight.native.waited) == [0, 0, 0]
     capacity = len(sums.block) - 1
-    assert capacity == 8 < len(expected)
+    assert capacity == 16 < len(expected)
     assert 4 <= len(blocks) <= capacity
     total = sum(expected, start=np.zeros(()))
     assert_close(sum(blocks, start=noise), total, 1e-12)
@@ -400,7 +400,7 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
         own[np.ix_(places, places)] = work.solver.momentum_weight * symmetric(block.rows.gram, sums.columns)
         parts.append(own)
         factors.append(1.0)
-    assert sums.store.closed == 7
+    assert sums.store.closed == 8
     whole = sum(parts, start=np.zeros(()))
     scale = 1.0 / np.sqrt(np.diag(whole))[:p]
 

@@ -131,7 +131,7 @@ def start(name: str) -> Start:
         return Start(flight, cycles_to_native(part(rest, 150, 150 + FURTHER)))
     at = 0
     while flight.native.waited[0] == 0:  # arcs are ended by gaps until one has to wait
-        gap = part(again(flight.arm, recording(), int(flight.native.sums.cycle) + 2, np.random.default_rng(at)), 0, 36)
+        gap = part(again(flight.arm, recording(), int(flight.native.sums.cycle) + 2, np.random.default_rng(at)), 0, 45)
         for k in range(len(gap)):
             flight.cycles(part(gap, k, k + 1))
             if flight.native.waited[0]:

@@ -57,6 +57,8 @@ class Watch:
         self._traces: list[Trace] | None = [] if trace else None
         self._left_out = 0
         self._settled: Drift | None = None
+        self._found = 0
+        """The newest cycle when a change was found first."""
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
         others = max(flight.arm.impulse_arc_s, flight.arm.momentum_arc_s)
@@ -119,8 +121,8 @@ class Watch:
         return Trace.joined(self._traces)
 
     def look(self) -> Drift | None:
-        """Compare the newest arc with all before it, and adopt a valid estimate. Returns the clearest comparison so
-        far."""
+        """Compare the newest arc with the running solution, and adopt a valid estimate unless the arm changed. Returns
+        the clearest comparison so far."""
         self._note_arcs()
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
         if not estimate.consecutive:
@@ -129,13 +131,17 @@ class Watch:
         best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
         # motor rows from the time of an arc that was left out are no evidence about an arc that agrees
         spoilt = not estimate.consecutive and any(arc.last + self._reach > drift.until for arc in self.left_out)
-        if not spoilt and (bool(drift.changed), drift.largest) > best:
+        # an arc that began after the change was found says less well since when
+        late = best[0] and drift.until > self._found
+        if not spoilt and not late and (bool(drift.changed), drift.largest) > best:
             self.plainest = drift
+            self._found = self._found if best[0] else int(self.flight.native.sums.cycle)
         if cycles > 2 * (self.known[-1].cycles if self.known else 0):
             self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(estimate.value)))))
         if not estimate.consecutive:
             self._settled = self.plainest
-        self.flight.adopt()
+        if not drift.changed:
+            self.flight.adopt()
         return self.plainest
 
     def _note_estimate(self) -> None:

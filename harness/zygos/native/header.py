@@ -19,6 +19,8 @@ _ENUMS = {
 """Fields that hold a value of an enumeration."""
 
 
+_PROPOSED = {"ZYGOS_MAX_BLOCKS": 12, "ZYGOS_MAX_MOTOR_BLOCKS": 8, "ZYGOS_MAX_MOMENTUM_BLOCKS": 8}
+"""Blocks of a build for onboard software, with which the sigmas are as large on average as with the defaults."""
 _FEWEST = {"ZYGOS_MAX_BLOCKS": 11, "ZYGOS_MAX_MOTOR_BLOCKS": 4, "ZYGOS_MAX_MOMENTUM_BLOCKS": 4}
 """The least of a build."""
 _COUNTED = {"joint": "joints", "effect": "effects", "reduction": "reductions"}
@@ -48,20 +50,24 @@ def _parameters(config: Any) -> int:
 def least_build(config: Any) -> dict[str, int]:
     """The capacities of the smallest build that holds a ``zygos_config_t`` and has every function, by macro; the
     others are the defaults."""
-    needs = capacities(config)
+    needs = capacities(config) | _PROPOSED
     if library.lib.zygos_joint_sums_suffice(library.ffi.addressof(config)):
         needs["ZYGOS_MAX_BLOCKS"] = _FEWEST["ZYGOS_MAX_BLOCKS"]
     if config.impulse_arc_cycles == 0:
         needs["ZYGOS_MAX_MOTOR_BLOCKS"] = _FEWEST["ZYGOS_MAX_MOTOR_BLOCKS"]
     # fewer are no build
     needs["ZYGOS_MAX_PARAMETERS"] = max(needs["ZYGOS_MAX_PARAMETERS"], 2 * needs["ZYGOS_MAX_JOINTS"] + 3)
-    return needs
+    return _without_unused_momentum(config, needs)
 
 
 def in_place_build(config: Any) -> dict[str, int]:
     """The same with the fewest blocks of all rows: what a flight computer needs that solves in place."""
-    needs = least_build(config) | _FEWEST
-    return {name: value for name, value in needs.items() if config.momentum_arc_cycles or "MOMENTUM_BLOCKS" not in name}
+    return _without_unused_momentum(config, least_build(config) | _FEWEST)
+
+
+def _without_unused_momentum(config: Any, build: dict[str, int]) -> dict[str, int]:
+    """A build that has no momentum rows needs no number of their blocks."""
+    return {name: value for name, value in build.items() if config.momentum_arc_cycles or "MOMENTUM_BLOCKS" not in name}
 
 
 def options(build: dict[str, int]) -> str:

@@ -35,7 +35,7 @@ extern "C" {
 #endif
 
 /// The least number of blocks: the scatter of fewer is too uncertain, so blocks are not merged below this number.
-#define ZYGOS_MIN_BLOCKS 6u
+#define ZYGOS_MIN_BLOCKS ((ZYGOS_MAX_BLOCKS < 16) ? 6u : 8u)
 /// Number of free blocks that are aimed at: two for an arc that begins, and one for the next segment.
 #define ZYGOS_SPARE_BLOCKS 3u
 /// Number of buffers: one is filled, one is added to the blocks, and a third waits after the end of an arc.

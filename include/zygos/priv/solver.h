@@ -76,8 +76,10 @@ extern "C" {
 /// solution without it, and the second, smaller limit holds for them.
 #define ZYGOS_SIGMA_LIMIT 0.25
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
-/// The least number of blocks, or of groups of joint rows, from which standard deviations are computed.
+/// The least number of groups of joint rows, and of blocks, from which standard deviations are computed; of blocks
+/// behind arcs that contradict, as many as of groups: they merge beside the others.
 #define ZYGOS_MIN_GROUPS 4u
+#define ZYGOS_LEAST_BLOCKS ((ZYGOS_MAX_BLOCKS < 16) ? ZYGOS_MIN_GROUPS : 8u)
 /// The gain of a torque sensor differs from what is declared of it where the estimate of its error exceeds this number
 /// of standard deviations, by the declared errors and the scatter of the blocks together.
 #define ZYGOS_GAIN_SIGMAS 3.0
