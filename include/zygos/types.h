@@ -36,9 +36,9 @@ extern "C" {
 #endif
 
 /// The number of blocks into which the normal equations are divided; they take most of the memory. The standard
-/// deviations are computed from the scatter of the blocks. `zygos compile-model` proposes 12 of them, and 8 of motor and
-/// of momentum rows: the sigmas are as large on average, but scatter twice as much, and residuals that are not noise
-/// show less clearly.
+/// deviations are computed from the scatter of the blocks. `zygos compile-model` proposes 12 of them, and 8 of motor
+/// and of momentum rows: the sigmas are as large on average, but scatter twice as much, and residuals that are not
+/// noise show less clearly.
 #ifndef ZYGOS_MAX_BLOCKS
 #define ZYGOS_MAX_BLOCKS 32
 #endif

@@ -57,17 +57,13 @@ def least_build(config: Any) -> dict[str, int]:
         needs["ZYGOS_MAX_MOTOR_BLOCKS"] = _FEWEST["ZYGOS_MAX_MOTOR_BLOCKS"]
     # fewer are no build
     needs["ZYGOS_MAX_PARAMETERS"] = max(needs["ZYGOS_MAX_PARAMETERS"], 2 * needs["ZYGOS_MAX_JOINTS"] + 3)
-    return _without_unused_momentum(config, needs)
+    return needs
 
 
 def in_place_build(config: Any) -> dict[str, int]:
     """The same with the fewest blocks of all rows: what a flight computer needs that solves in place."""
-    return _without_unused_momentum(config, least_build(config) | _FEWEST)
-
-
-def _without_unused_momentum(config: Any, build: dict[str, int]) -> dict[str, int]:
-    """A build that has no momentum rows needs no number of their blocks."""
-    return {name: value for name, value in build.items() if config.momentum_arc_cycles or "MOMENTUM_BLOCKS" not in name}
+    needs = least_build(config) | _FEWEST
+    return {name: value for name, value in needs.items() if config.momentum_arc_cycles or "MOMENTUM_BLOCKS" not in name}
 
 
 def options(build: dict[str, int]) -> str:
