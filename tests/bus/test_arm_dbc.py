@@ -298,6 +298,7 @@ def check_telemetry(path: Path, parameters: list[tuple[str, str]], effects: int 
     }
 
 
+@pytest.mark.slow
 def test_telemetry_names_effects(tmp_path: Path) -> None:
     """Those of a model, and the offsets that an unsure zero asks for."""
     text = (EXAMPLE / "arm.toml").read_text()

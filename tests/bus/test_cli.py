@@ -63,6 +63,7 @@ def test_simulate_leaves_a_run_and_its_arm_and_no_truth(recording: Path) -> None
     assert recording.with_name("arm.toml").read_bytes() == (EXAMPLE / "arm.toml").read_bytes()
 
 
+@pytest.mark.slow
 def test_estimate_where_no_truth_exists(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(recording.parent, tmp_path, dirs_exist_ok=True)
     out, numbers = tmp_path / "m.toml", tmp_path / "m.json"
@@ -77,6 +78,7 @@ def test_estimate_where_no_truth_exists(recording: Path, tmp_path: Path, capsys:
     assert {quantity.source for quantity in model.parameters.values()} == {"zygos"}
 
 
+@pytest.mark.slow
 def test_estimate_json_to_stdout_is_all_there_is(
     brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -210,6 +212,7 @@ def test_a_rigid_prior_is_kept_where_the_run_is_silent(tmp_path: Path) -> None:
     assert load_model(out).parameters["k2"].value == pytest.approx(1000.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_estimate_of_too_short_a_run_is_undecided(
     brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -662,6 +665,7 @@ def test_listen_looks_at_its_outputs_first(option: str, tmp_path: Path, capsys: 
         assert "listening" not in said
 
 
+@pytest.mark.slow
 def test_listen_to_silence_for_a_second(tmp_path: Path) -> None:
     begin = time.monotonic()
     assert listen("test_silence", tmp_path, "--duration", 1) == 3

@@ -50,7 +50,7 @@ def test_a_wrong_name_is_told_what_was_meant(capsys: pytest.CaptureFixture[str])
     assert "Did you mean" not in capsys.readouterr().err
 
 
-@pytest.mark.slow(only=["simulate-60"])
+@pytest.mark.slow(only=["simulate-60", "simulate*"])
 @pytest.mark.parametrize("width", [60, 80])
 @pytest.mark.parametrize("command", [None, *COMMANDS])
 def test_help_is_whole(
@@ -214,6 +214,7 @@ def test_only_one_file_comes_on_standard_input(tmp_path: Path, capsys: pytest.Ca
     assert "standard input more than once" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_only_one_file_goes_to_standard_output(brief_recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("estimate", brief_recording, "-o", "-", "--json", "-") == 2
     said = capsys.readouterr()
@@ -221,7 +222,7 @@ def test_only_one_file_goes_to_standard_output(brief_recording: Path, capsys: py
     assert said.out == ""
 
 
-@pytest.mark.slow(only=["arguments4*", "arguments0*", "arguments1*"])
+@pytest.mark.slow(only=["arguments4*", "arguments0*", "arguments1*", "arguments2*"])
 @pytest.mark.parametrize(
     ("arguments", "option", "suffix"),
     [
@@ -320,6 +321,7 @@ def test_an_output_that_cannot_be_written_is_noticed_before_the_work(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", f"folder{suffix}"]
 
 
+@pytest.mark.slow(only=["Ctrl*"])
 @pytest.mark.parametrize(("how", "code"), [("Ctrl-C", 130), ("SIGTERM", 143), ("an error", 2)])
 def test_work_that_does_not_end_leaves_nothing(
     how: str, code: int, brief_scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

@@ -115,6 +115,7 @@ def test_parameters_have_their_places(tmp_path: Path) -> None:
     assert len(names) > 150
 
 
+@pytest.mark.slow(only=["spatial--DZYGOS_MAX_JOINTS=2*"])
 @pytest.mark.parametrize(
     ("example", "flag", "word"),
     [
@@ -165,6 +166,7 @@ def test_outputs_do_not_replace_inputs(tmp_path: Path, capsys: pytest.CaptureFix
     assert not (tmp_path / "arm_config.h").exists()
 
 
+@pytest.mark.slow
 def test_memory_is_told_before_anything_is_flashed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Table, JSON and arm_config.h have the bytes that a compiler makes of the smallest build."""
     out = tmp_path / "answer.json"

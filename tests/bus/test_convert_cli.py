@@ -396,6 +396,7 @@ def test_a_foreign_table_and_the_cycle_door(
     assert all(room["equal"] and room["compared"] for room in report["rooms"])
 
 
+@pytest.mark.slow
 def test_the_other_commands_refuse_what_they_cannot_take(
     cycles: Cycles, brief_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -234,6 +234,7 @@ def test_what_survives_is_answered_from(
     assert np.all(broken[apart])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TEXT)
 def test_zeros_from_anywhere_in_a_line(kind: str, arm: Arm, frames: Frames, tmp_path: Path) -> None:
     path = write(tmp_path, kind, frames[:80], arm.period_s)

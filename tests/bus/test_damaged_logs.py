@@ -207,7 +207,7 @@ def test_no_damage(hardware: Arm, whole: Log) -> None:
     assert (len(cycles), faults) == (CYCLES, {})
 
 
-@pytest.mark.slow(only=["coarse-error_frames"])
+@pytest.mark.slow(only=["coarse-error_frames", "fine-wrong_length"])
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 def test_one_kind_of_damage(hardware: Arm, whole: Log, damage: Damage) -> None:
     same(hardware, damage(np.random.default_rng(0), hardware, whole))

@@ -188,6 +188,7 @@ def test_a_rigid_simulation_lacks_flexibility(folder: Path, tmp_path: Path) -> N
     assert load_model(tmp_path / "new.toml").parameters["k1"].value == pytest.approx(3000.0, rel=0.02)
 
 
+@pytest.mark.slow(only=["change1*"])
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -226,6 +226,7 @@ def test_a_cut_off_is_proposed_and_can_be_used(
     assert convert(folder, tmp_path / "x.npz", CASES / "deg.toml", "with_cutoff")[0] == 0
 
 
+@pytest.mark.slow(only=["vibration", "stamps"])
 @pytest.mark.parametrize("cause", ["stamps", "vibration", "noise"])
 def test_the_cause_of_much_noise_is_named(
     folder: Path, sound: dict[str, NDArray[Any]], cause: str, tmp_path: Path

@@ -289,6 +289,7 @@ def test_a_comment_that_is_no_utf8(arm: Arm, noisy: Trajectory, tmp_path: Path) 
     assert log.frames.tobytes() == frames.tobytes()
 
 
+@pytest.mark.slow
 def test_bus_off_in_a_candump_log_ends_the_arc(arm: Arm, noisy: Trajectory, tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     bus.write_log(path, encode(arm, noisy.cycles(0))[:4000], arm.period_s)

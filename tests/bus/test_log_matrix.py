@@ -48,6 +48,7 @@ def times(arm: Arm, frames: Log) -> list[float]:
     return found
 
 
+@pytest.mark.slow(only=["candump -L-from zero-False"])
 @pytest.mark.parametrize(("name", "stamps", "tx"), MATRIX)
 def test_frames_and_times(name: str, stamps: str, tx: bool, frames: Log, times: list[float], tmp_path: Path) -> None:
     """Bit for bit, which makes the estimate the same; and the same part of it where only a part is read."""

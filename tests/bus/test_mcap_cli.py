@@ -349,6 +349,7 @@ def test_two_publishers_of_one_topic_are_named_and_chosen(
     assert 'has no "arn" in my.mcap; remedy: did you mean "arm"?' in capsys.readouterr().err.replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_a_publisher_that_started_again_is_one(recorded: Cycles, tmp_path: Path) -> None:
     """Two channels one after the other, as of a node that was restarted."""
     source = write(tmp_path / "my.mcap", recorded, ghost="", ghost_late_s=20.0)
@@ -356,6 +357,7 @@ def test_a_publisher_that_started_again_is_one(recorded: Cycles, tmp_path: Path)
     assert json.loads((tmp_path / "c.json").read_text())["signals"][0]["samples"] == 800
 
 
+@pytest.mark.slow(only=["1*"])
 @pytest.mark.parametrize(("offered", "warned"), [(1, False), (2, True)])
 def test_publishers_that_cannot_be_told_apart(offered: int, warned: bool, recorded: Cycles, tmp_path: Path) -> None:
     """rosbag2 writes the quality of service of each publisher that it met, and not who sent a message."""
@@ -366,6 +368,7 @@ def test_publishers_that_cannot_be_told_apart(offered: int, warned: bool, record
     assert any("/imu had 2 publishers when it was recorded" in line for line in said) is warned
 
 
+@pytest.mark.slow
 def test_messages_without_time_are_counted(recorded: Cycles, tmp_path: Path) -> None:
     source = write(tmp_path / "my.mcap", recorded, stamp=lambda k: 0 if k == 7 else stamped(k))
     assert convert(source, tmp_path / "a" / "run.npz", "--json", tmp_path / "c.json") == 0

@@ -119,6 +119,7 @@ def test_copies_are_removed(brief: Log, arm: Arm, tmp_path: Path) -> None:
     assert not copy.exists()
 
 
+@pytest.mark.slow(only=["candump -L-utf-16"])
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig"])
 @pytest.mark.parametrize("name", ["candump -L", "candump -x", "BUSMASTER", "asc", "trc 2.1", "SavvyCAN"])
 def test_text_of_any_encoding(name: str, encoding: str, brief: Log, stamps: list[float], tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def sound(page: Page) -> Page:
     return page
 
 
-@pytest.mark.slow(only=["check-arm"])
+@pytest.mark.slow(only=["check-arm", "check"])
 @pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
 def test_a_page_is_whole_and_says_where_it_comes_from(name: str, brief_recording: Path, tmp_path: Path) -> None:
     log, file = brief_recording, tmp_path / "new" / "page.html"
@@ -120,7 +120,7 @@ def test_a_page_is_whole_and_says_where_it_comes_from(name: str, brief_recording
     assert page.data["charts"]
 
 
-@pytest.mark.slow(only=["check-arm"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
 def test_a_table_of_cycles_has_a_page(name: str, brief_recording: Path, tmp_path: Path) -> None:
     """Its cycles are numbered as they are in the table."""
@@ -230,7 +230,7 @@ def test_a_stage_that_differs_is_marked_and_drawn(
     assert cycle == 705  # the instant 700 belongs to the cycle five later, where the smoother's window is full
 
 
-@pytest.mark.slow(only=["check-arm"])
+@pytest.mark.slow(only=["check-arm", "check"])
 @pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
 def test_a_page_on_standard_output_is_alone_there(
     name: str, brief_recording: Path, tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
@@ -291,6 +291,7 @@ def test_names_cannot_break_the_pages(brief_recording: Path, tmp_path: Path) -> 
         assert page.text.count(HOSTILE) >= 5
 
 
+@pytest.mark.slow
 def test_the_ledger_leaves_over_what_the_estimate_says(recording: Path) -> None:
     """With the column of an effect, which is among the losses."""
     arm = load_arm(ARM)

@@ -33,7 +33,7 @@ def frames(arm: Arm, noisy: Trajectory) -> NDArray[np.void]:
     return encode(arm, noisy.cycles(0))
 
 
-@pytest.mark.slow(but=[".log"])
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", bus.LOG_SUFFIXES)
 def test_logs(arm: Arm, frames: NDArray[np.void], tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"

@@ -38,6 +38,7 @@ def import_into(folder: Path, *more: object) -> int:
     return run("import", URDF, "-o", folder, *more)
 
 
+@pytest.mark.slow
 def test_import_and_export_and_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, numbers = tmp_path / "arm", tmp_path / "arm.json"
     assert import_into(out, "--answers", ANSWERS, "--json", numbers) == 0

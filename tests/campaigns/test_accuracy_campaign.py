@@ -423,6 +423,7 @@ def test_encoder_zeros_are_off_by_a_milliradian(motion: Trajectory) -> None:
     assert len(signs) > 1
 
 
+@pytest.mark.slow
 def test_one_joint_is_lost_in_one_of_a_hundred_cycles(motion: Trajectory) -> None:
     lost = []
     for number in range(20):

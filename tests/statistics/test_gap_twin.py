@@ -298,6 +298,7 @@ def test_a_wrong_models_twin_stays_on_the_path(changes: Sequence[tuple[str, floa
             assert away.max() < limit
 
 
+@pytest.mark.slow
 def test_friction_does_not_leave_the_path_either() -> None:
     """A twin without the friction that the run has."""
     arm, model, scenario = example("b")

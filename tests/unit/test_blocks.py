@@ -33,6 +33,7 @@ def moved(cut: Blocks, example: str, values: np.ndarray | float = 0.0, states: n
     return linearise(cut, Propagation(arm, steps, friction=True), own, np.zeros(5 * arm.n), cut.states + states)
 
 
+@pytest.mark.slow(only=["spatial*"])
 @pytest.mark.parametrize(("example", "duration_s"), [("paper", 10.0), ("spatial", 0.6)])
 def test_derivatives_are_those_of_the_motion(example: str, duration_s: float) -> None:
     cut = blocks(example, duration_s)

@@ -37,6 +37,7 @@ def accelerations(dynamics: Drives, motion: FlexibleMotion, x: Floats, tau: Floa
     return np.concatenate([base[:, : motion.base_rates], link, motor], axis=1)
 
 
+@pytest.mark.slow(only=["free-spatial", "fixed*"])
 @pytest.mark.parametrize("kinetic", ["planar-symmetric", "planar", "spatial"])
 @pytest.mark.parametrize("base", ["free", "fixed"])
 def test_derivatives_are_differences_of_the_simulators_equations(base: str, kinetic: str) -> None:
@@ -175,7 +176,7 @@ def dense(arm: Arm, relative: float) -> Floats:
     return np.asarray(np.linalg.norm(np.linalg.inv(triangle), axis=1) / scale[-p:] * np.abs(values))
 
 
-@pytest.mark.slow(only=["0.0-0.0"])
+@pytest.mark.slow(only=["0.0-0.0", "0.02*"])
 @pytest.mark.parametrize(("relative", "zero"), [(0.0, 0.0), (0.02, 0.0), (0.0, 1e-3)])
 def test_the_bound_is_that_of_least_squares_over_everything_unknown(relative: float, zero: float) -> None:
     arm, model, scenario = moving(2.0)
@@ -202,6 +203,7 @@ def test_the_bound_of_a_known_motion(clean: Callable[[], Trajectory], monkeypatc
     np.testing.assert_allclose(means[1:], [0.0035, 0.028], rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_late_latch_is_heeded() -> None:
     arm, model, scenario = moving(2.0)
     (plain,) = bound(arm, model, scenario)

@@ -83,6 +83,7 @@ def test_noise_beyond_the_declared_one_is_added(arm: Arm) -> None:
     assert noise.added == pytest.approx(math.sqrt(0.2 * (0.02**2 - own**2)), rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_integral_of_a_torque_is_kept() -> None:
     """The sum of the means over a minute, against the integral of the straight lines between the samples."""
     t = stamps(7.0, 60.0, 3)

@@ -316,7 +316,7 @@ def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
     return rooms
 
 
-@pytest.mark.slow(but=["one joint, all"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if not case.far])
 def test_c_equals_numpy_with_effects(name: str) -> None:
     """As many as the build holds, other ones at other arms."""
@@ -459,6 +459,7 @@ def test_a_zero_that_is_not_vouched_for_gives_its_spring_an_offset() -> None:
     assert [one.column(seven) for one in effects] == ["torque_lag7", *(f"spring_offset{i + 1}" for i in range(7))]
 
 
+@pytest.mark.slow
 def test_c_equals_numpy_with_the_offsets_that_an_arm_file_asks_for(tmp_path: Path) -> None:
     arm = unsure(make_arm(tmp_path))
     cycles = balanced(make_arm(tmp_path), sines(arm, 500), chosen(make_arm(tmp_path)))

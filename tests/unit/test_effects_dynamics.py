@@ -167,6 +167,7 @@ EVERY = [
 ]
 
 
+@pytest.mark.slow(only=["lively-each-rigid1", "lively-each-rigid2", "lively-each-rigid0"])
 @pytest.mark.parametrize("rigid", [(), (0,), (1,), (0, 1)])
 @pytest.mark.parametrize(
     ("kinetic", "case"),
@@ -242,7 +243,7 @@ def test_power_balance_and_momentum(key: str, value: float, joint: int, rigid: b
         assert abs(rates_of(dynamics, s, tau, momentum)) <= 1e-6 * dynamics.a.max() * (1.0 + turned)
 
 
-@pytest.mark.slow(only=["rigid1", "rigid0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("rigid", [(), (0,), (0, 1)])
 def test_a_run_without_losses_keeps_energy_and_momentum(rigid: tuple[int, ...]) -> None:
     """A quarter of a second of free motion of an arm whose rotors do not couple, with a cubic spring."""
@@ -263,6 +264,7 @@ def test_a_run_without_losses_keeps_energy_and_momentum(rigid: tuple[int, ...]) 
     np.testing.assert_array_equal(s.q[..., list(rigid)], s.theta[..., list(rigid)])
 
 
+@pytest.mark.slow
 def test_a_rigid_joint_is_the_limit_of_a_stiff_one() -> None:
     """Ten times the stiffness leaves a tenth of the difference."""
     arm, model, scenario = example()
@@ -311,6 +313,7 @@ def test_rigid_joints_equal_pinocchio(rigid: tuple[int, ...]) -> None:
         np.testing.assert_allclose(arm.gear_ratios * motor, want[oracle.rotors], rtol=0, atol=1e-10 * scale)
 
 
+@pytest.mark.slow
 def test_torque_lag_is_a_later_torque() -> None:
     """A run in which the motors lag by 2 and 1 ms of 5, and one at 1 ms whose torques are shifted by hand."""
     arm, model, scenario = example()

@@ -265,6 +265,7 @@ def test_a_rigid_joint_reads_no_motor_angle(name: str) -> None:
     np.testing.assert_array_equal(body.momentum(q, *others), body.momentum(q, *rates))
 
 
+@pytest.mark.slow(only=["planar-free"])
 @BASES
 @pytest.mark.parametrize("kinetic", ["spatial", "planar", "planar-symmetric"])
 def test_random_arms_could_be_built(base: Base, kinetic: Kinetic, tmp_path: Path) -> None:

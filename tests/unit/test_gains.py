@@ -107,6 +107,7 @@ def test_a_gain_that_is_declared_as_nearly_exact_changes_nothing(arm: Arm, cycle
     assert found.sigma[-1] == pytest.approx(np.sqrt(2.0) * 1e-6, rel=1e-2)
 
 
+@pytest.mark.slow(only=["gains2-applied_from_sync", "gains1-applied_from_sync", "gains0-applied_from_sync"])
 @pytest.mark.parametrize("law", ["applied_from_sync", "sampled"])
 @pytest.mark.parametrize("gains", [(SHARE, 1.0), (SHARE, 1.05), (0.1, 1.3)])
 def test_c_equals_numpy_with_gains(arm: Arm, cycles: Cycles, law: str, gains: tuple[float, float]) -> None:

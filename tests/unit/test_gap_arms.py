@@ -146,6 +146,7 @@ def test_what_was_recorded_after_a_payload_closes_in_a_few_steps() -> None:
     assert was is not None
 
 
+@pytest.mark.slow
 def test_the_largest_score_of_runs_that_lack_nothing() -> None:
     """Scores of single candidates are standard, the largest of all grows with their number, and so does the
     threshold."""

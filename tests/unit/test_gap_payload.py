@@ -66,6 +66,7 @@ def test_no_payload_without_bodies_or_where_the_parameters_do_not_tell_it() -> N
     assert payload_of(arm, model, names[4:], np.ones(2), drawn[:, 4:]) == ()
 
 
+@pytest.mark.slow
 def test_a_point_mass_in_space() -> None:
     arm, model = load_arm(SPATIAL / "arm.toml"), load_model(SPATIAL / "model.toml")
     names = tuple(one.name for one in arm.parameters if one.joint is None)

@@ -173,6 +173,7 @@ def test_named(tmp_path: Path, friction: Explanation) -> None:
     np.testing.assert_allclose(np.nanmedian(torque[rate > 0.02]), -0.05, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_torques_of_the_untouched_run_and_run_against_run(tmp_path: Path, friction: Explanation) -> None:
     """Friction at the elbow is the torque that the delivered model lacks there, against the motion on either side."""
     page = Page(tmp_path, friction)

@@ -262,6 +262,7 @@ def test_a_payload_beside_a_wrong_gain_or_friction_with_the_load(key: str, value
     assert np.linalg.eigvalsh(found.to_model().covariance(arm)).min() > -1e-9
 
 
+@pytest.mark.slow
 def test_correlations_are_read_back(tmp_path: Path) -> None:
     _, _, first, _ = _setup(2)
     learned = _learned()

@@ -64,6 +64,7 @@ def test_the_distribution_counts_every_cycle_once() -> None:
     assert waiting[0]["median_ms"] is None
 
 
+@pytest.mark.slow
 def test_the_table_and_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tool = tool_module("latency")
     page, drawn, measured = tmp_path / "hil.md", tmp_path / "latency.svg", tmp_path / "hil.json"

@@ -204,6 +204,7 @@ def test_the_first_and_the_last_samples_may_lie_off() -> None:
     assert set(range(N)) - set(mend(angle).recording.sources["m"].group.tolist()) == {0, 1, N - 1}
 
 
+@pytest.mark.slow
 def test_a_stroke_of_a_torque_stays_and_a_code_does_not() -> None:
     for seed in range(5):
         assert mend(DEGREES, stick_slip(np.random.default_rng(seed))).left_out["y"] == 0

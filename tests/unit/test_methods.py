@@ -51,7 +51,7 @@ def noisy(record: Record, sigma: float, seeds: int) -> Record:
     )
 
 
-@pytest.mark.slow(only=["planar-symmetric"])
+@pytest.mark.slow
 def test_momentum_and_energy_of_the_equations_of_motion_are_conserved(arm: Arm, motion: Motion) -> None:
     """The motion integrates the columns of `de`; `amc` and `eb` share no term with them."""
     momentum = amc.regressor(arm, motion.record(), exact=True)[0] @ true_parameters(arm)[amc.seen(arm)]

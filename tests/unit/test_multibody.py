@@ -144,6 +144,7 @@ def arm_axes(arm: Arm) -> tuple[str, ...]:
     return CATALOGUE["base_leak"].components(arm)
 
 
+@pytest.mark.slow(only=["free-spatial-mixed", "free-planar-mixed"])
 @pytest.mark.parametrize("kind", ["rigid", "mixed"])
 @pytest.mark.parametrize(("base", "kinetic"), [("free", "planar"), ("free", "spatial"), ("fixed", "planar")])
 def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,7 +228,7 @@ def test_a_copy_in_another_process_moves_alike() -> None:
     np.testing.assert_array_equal(np.hstack(copied.accelerations(*samples[0])), np.hstack(before))
 
 
-@pytest.mark.slow(only=["free-12"])
+@pytest.mark.slow(only=["free-12", "fixed-12"])
 @pytest.mark.parametrize("joints", [1, 3, 12])
 @pytest.mark.parametrize("base", ["free", "fixed"])
 def test_memory_is_what_it_says(joints: int, base: str) -> None:
@@ -337,6 +338,7 @@ def test_a_motion_that_no_number_follows_is_refused() -> None:
         simulate(arm, model, wild, period_s=0.01, duration_s=1.0)
 
 
+@pytest.mark.slow
 def test_six_joints_conserve_momentum() -> None:
     arm, model = random_arm(6, 6, "free")
     moves = {joint.name: Motion(sines=(Sine(0.3, 0.7 + 0.3 * i),)) for i, joint in enumerate(arm.joints)}

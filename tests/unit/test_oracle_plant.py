@@ -97,6 +97,7 @@ def test_a_motion_conserves_energy_and_momentum() -> None:
     assert np.abs(linear).max() < 1e-6  # and those of this one 1e3 kg m/s
 
 
+@pytest.mark.slow
 def test_moves_as_the_plant_of_the_package() -> None:
     """Two formulations, two integrators."""
     arm, model, scenario = example()
@@ -109,6 +110,7 @@ def test_moves_as_the_plant_of_the_package() -> None:
     np.testing.assert_allclose(ours.tau, theirs.tau[0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_moves_alike_about_another_axis() -> None:
     """The arm turned on its side, its mass centres off the lines between the joints."""
     arm, model, scenario = example()
@@ -125,6 +127,7 @@ def test_moves_alike_about_another_axis() -> None:
     np.testing.assert_allclose(ours.cycles.omega, theirs.cycles(0).omega, atol=1e-10)
 
 
+@pytest.mark.slow(only=["MotorCoulomb"])
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_energy_closes_with_every_law(law: Law) -> None:
     arm, model, scenario = example()
@@ -250,6 +253,7 @@ def test_the_gyro_errs_as_declared() -> None:
     np.testing.assert_allclose(np.diff(error, axis=0).std(axis=0), 1e-4 * np.sqrt(arm.period_s), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_a_log_has_the_same_bytes_each_time(tmp_path: Path) -> None:
     arm, model, scenario = example()
     digests = set()

@@ -143,6 +143,7 @@ def test_the_energy_balance_with_backward_differences() -> None:
     expect(found["b1"], 10.49, 0.27)
 
 
+@pytest.mark.slow
 def test_the_energy_balance_with_the_noise_of_32() -> None:
     """Independent noise on exact states: half the error of differences, and nearer to the printed sizes."""
     arm = hardware()[0]

@@ -93,6 +93,7 @@ def test_every_motion_of_the_space_keeps_the_limits_and_is_at_rest_at_its_ends()
         np.testing.assert_allclose(np.gradient(angle, t, axis=0)[5:-5], rate[5:-5], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_slopes_of_the_measure_are_its_differences() -> None:
     arm, model = laboratory_arm("UR10e")
     grounded = Grounded(arm, model, np.array([joint.torque_sigma for joint in arm.joints]))

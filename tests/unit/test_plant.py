@@ -158,6 +158,7 @@ def test_without_noise_the_sensors_are_exact() -> None:
         assert not cycles.flags.any()
 
 
+@pytest.mark.slow
 def test_late_latches_read_later_angles() -> None:
     """Every sensor with a delay of its own, against an independent integration from the SYNC state."""
     arm, model, scenario = lively()
@@ -196,6 +197,7 @@ def test_accelerations_are_the_slopes_after_sync() -> None:
     np.testing.assert_allclose(np.diff(run.thetad, axis=1) / 0.001, motor[:, :-1], atol=5e-2)
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_seeds_and_repeats() -> None:
     arm, model, scenario = lively()
     batch = simulate(arm, model, scenario, seeds=range(4), duration_s=3.0)

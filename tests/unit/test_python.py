@@ -86,6 +86,7 @@ def test_a_run_has_readings_and_no_truth(simulation: zygos.Simulation, run: zygo
     assert not any(isinstance(value, zygos.Model) for value in vars(run).values())
 
 
+@pytest.mark.slow(only=[".log", ".blf"])
 @pytest.mark.parametrize("suffix", [".blf", ".log", ".npz", ".csv"])
 def test_a_saved_run_comes_back(suffix: str, run: zygos.Run, tmp_path: Path) -> None:
     zygos.save_run(run, tmp_path / f"run{suffix}")
@@ -99,6 +100,7 @@ def test_a_saved_run_comes_back(suffix: str, run: zygos.Run, tmp_path: Path) -> 
     assert np.array_equal(zygos.load_run(tmp_path / "frames.blf").frames, run.frames)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_arrays_in_and_out(run: zygos.Run) -> None:
     """The same cycles as arrays give the same estimate; a reading that is changed does not."""
     arrays = {"q": run.q, "theta": run.theta, "tau": run.tau, "omega": run.omega}

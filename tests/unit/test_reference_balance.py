@@ -42,6 +42,7 @@ def test_rows_balance_with_the_true_parameters(arm: Arm, motion: Motion) -> None
     assert np.ptp(rest) < 1e-3 * np.ptp(balance.w)
 
 
+@pytest.mark.slow
 def test_a_torque_shifted_by_one_cycle_is_seen(tmp_path: Path) -> None:
     """At 20 ms the wrong torque law spoils the balance tenfold; a common shift of the record changes nothing."""
     right = make_arm(tmp_path)
@@ -58,6 +59,7 @@ def test_a_torque_shifted_by_one_cycle_is_seen(tmp_path: Path) -> None:
     assert spread(right, shifted) == spread(right, cycles)
 
 
+@pytest.mark.slow(only=["applied_previous_cycle"])
 @pytest.mark.parametrize("law", ["applied_previous_cycle", "sampled"])
 def test_torque_laws_give_the_same_rows_for_their_own_record(tmp_path: Path, motion: Motion, law: str) -> None:
     """A drive that reports the past cycle gives, by its law, the rows of one that reports the present cycle."""

@@ -249,6 +249,7 @@ def test_torques_nobody_reported_lie_between_those_around_them() -> None:
     np.testing.assert_allclose(piece.tau[:49], cycles().tau[1:50])
 
 
+@pytest.mark.slow
 def test_the_state_at_the_start_of_a_piece_is_within_its_deviations() -> None:
     run = trajectory_of(SHORT.arm, TRUTH, SCENARIO, seeds=[0], duration_s=10.0)
     whole = Run.of_cycles(SHORT.arm, run.cycles())
@@ -333,6 +334,7 @@ def test_large_innovations_of_a_while_are_noticed(part: slice, times: float, hol
     assert holds or "motor encoders are too large: the mean normalised square of readings 53 to 80" in rule.sentence
 
 
+@pytest.mark.slow
 def test_innovations_of_a_complete_model_fail_once_in_a_thousand() -> None:
     """Chi square sums of all channels, in the whole record and its windows, as they would be without _EXCESS."""
     answer, rng, draws = found(), np.random.default_rng(0), 10_000

@@ -69,6 +69,7 @@ def test_a_member_of_a_state_that_is_too_large_ends_the_refinement(place: int) -
     assert task.native.filter.failed == 1
 
 
+@pytest.mark.slow
 def test_what_is_told_is_what_was_found() -> None:
     _, task, flight, rest = started()
     task.cycles(selected(rest, slice(0, 1000)))

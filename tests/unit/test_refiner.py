@@ -93,6 +93,7 @@ def test_it_begins_with_the_correlations_of_the_parameters() -> None:
     np.testing.assert_allclose(root @ root.T, block_diag(np.diag(sigma[:fast] ** 2), relative), rtol=1e-9, atol=1e-18)
 
 
+@pytest.mark.slow(only=["free-spatial", "fixed*"])
 @pytest.mark.parametrize(("base", "kinetic"), [("free", "planar"), ("free", "spatial"), ("fixed", "spatial")])
 def test_c_is_numpy(base: str, kinetic: str) -> None:
     arm, model = random_arm(1, 2, base, kinetic, True)

@@ -203,7 +203,7 @@ def test_a_log_of_another_machine_has_no_frames_of_the_arm(tmp_path: Path, capsy
         read_measured_run(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
 
 
-@pytest.mark.slow(only=["one", "explain"])
+@pytest.mark.slow(only=["one", "explain", "predict"])
 @pytest.mark.parametrize(
     "command",
     [
@@ -395,6 +395,7 @@ def test_noise_of_a_torque_is_tested_as_that_of_an_encoder() -> None:
 # ------------------------------------------------------------------------------------------ the documentation
 
 
+@pytest.mark.slow
 def test_the_example_of_a_matlab_file_has_its_torques_where_they_are(tmp_path: Path) -> None:
     """docs/telemetry.md: an arm of a ton needs thousands of Nm at its joints; read as torques of the output these
     would be some twenty."""

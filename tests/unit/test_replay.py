@@ -66,6 +66,7 @@ def lagging(arm: Arm) -> tuple[Effect, ...]:
     return effect(arm, "torque_lag", 0, 0.002), effect(arm, "torque_lag", 1, 0.0005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("effects", "tolerance"), [
     (smooth, 1e-9),
     (lagging, 1e-9),
@@ -80,6 +81,7 @@ def test_stretches_stay_on_the_simulators_run(effects: object, tolerance: float)
     assert error <= tolerance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rigid", [(0,), (0, 1)])
 def test_rigid_joints_stay_on_the_simulators_run(rigid: tuple[int, ...]) -> None:
     arm, model, scenario = example()
@@ -105,6 +107,7 @@ def test_a_stretch_is_the_same_alone_and_among_others() -> None:
         np.testing.assert_allclose(alone[0], whole[i], rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", [smooth, lagging])
 def test_converges_with_order_4(effects: object) -> None:
     """Twice the steps, a sixteenth of the error. At 20 Hz, where steps of a period are long enough to tell."""
@@ -162,6 +165,7 @@ def test_steps_follow_what_damps() -> None:
     assert count(with_drives(model, stiffness=np.inf)) == 1
 
 
+@pytest.mark.slow(only=["100000000.0"])
 @pytest.mark.parametrize("stiffness", [1e6, 1e8])
 def test_stiff_joints_do_not_blow_up(stiffness: float) -> None:
     """With the steps that are chosen, a free motion keeps its energy or loses some of it."""
@@ -176,6 +180,7 @@ def test_stiff_joints_do_not_blow_up(stiffness: float) -> None:
     assert energy[-1] >= 0.99 * energy[0]
 
 
+@pytest.mark.slow(only=["late2", "late0"])
 @pytest.mark.parametrize("late", [(0, 0, 0), (300, 1200, 4000), (4900, 0, 100)])
 def test_late_latches_are_read_as_the_simulator_reads_them(late: tuple[int, int, int]) -> None:
     """Microseconds of link encoders, motor encoders and gyro after SYNC, beside 50 of the joints."""

@@ -24,7 +24,7 @@ def at_rest(arm: Arm, first: int) -> Cycles:
     return Cycles(sync, table, table, table, np.zeros((CYCLES, 3)), np.zeros(CYCLES, dtype=np.uint32))
 
 
-@pytest.mark.slow(only=["0.0-0.01"])
+@pytest.mark.slow(only=["0.0-0.01", "0.02*"])
 @pytest.mark.parametrize(("lost", "stale"), [(0.0, 0.0), (0.0, 1e-2), (0.02, 0.02), (0.2, 0.1)])
 def test_the_book_counts_what_c_and_numpy_count(arm: Arm, lost: float, stale: float) -> None:
     rng, book, flight = np.random.default_rng(3), Book(2 * arm.n + 2), Flight(arm)

@@ -144,6 +144,7 @@ def test_directions_across_an_axis() -> None:
     np.testing.assert_array_equal(across(np.array([0.0, 1.0, 0.0])), np.eye(3)[:, [2, 0]])
 
 
+@pytest.mark.slow(only=["7"])
 @pytest.mark.parametrize("joints", [1, 3, 7])
 def test_every_column_of_a_free_arm_is_a_parameter(joints: int) -> None:
     """The (N+2)(2N+3) columns are independent, for any axes, and for consecutive axes that are parallel as well."""
@@ -222,6 +223,7 @@ def test_bodies_without_their_rotors_must_have_energy_in_every_motion() -> None:
         assert (least > 0.0) or "not physical" in estimate.reason
 
 
+@pytest.mark.slow(only=["0.01"])
 @pytest.mark.parametrize("least", [0.01, -0.01])
 def test_of_two_directions_on_a_fixed_base_the_sum_must_have_energy(least: float) -> None:
     """Only the sum of their squares is known, not each of them, nor what is between them."""

@@ -419,7 +419,7 @@ def test_nothing_is_interpolated_over_a_hole(arm: Arm, tmp_path: Path) -> None:
     assert got.sync[np.flatnonzero(got.flags)].tolist() == [153]
 
 
-@pytest.mark.slow(only=["2*"])
+@pytest.mark.slow(only=["2*", "60*"])
 @pytest.mark.parametrize(("missing", "bridged_gaps"), [(2, 85), (11, 85), (60, 0)])
 def test_a_gap_is_bridged_if_the_motion_allows_it(arm: Arm, missing: int, bridged_gaps: int) -> None:
     """Samples of 2 ms on a grid of 10 ms: gaps of 6 or 24 ms cost nothing, and their values are as good as the others;

@@ -37,7 +37,7 @@ def walk(name: str, sigma: float, share: float) -> Room:
     return rooms["torque noise"]
 
 
-@pytest.mark.slow(only=["three joints*", "15/4*"])
+@pytest.mark.slow(only=["three joints*", "15/4*", "11/6*"])
 @pytest.mark.parametrize(
     ("name", "sigma", "share"),
     [("plain", 0.0, 0.0), ("11/6", 1e-3, 0.0), ("15/4", 1e-3, 0.01), ("three joints", 0.0, 0.01)],

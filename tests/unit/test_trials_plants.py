@@ -169,7 +169,7 @@ def test_a_payload_comes_without_a_jerk_and_stays() -> None:
     np.testing.assert_allclose(slope, oracle.accelerations(*_state(motion, k), motion.tau[k])[1], atol=5e-3)
 
 
-@pytest.mark.slow(only=["spatial", "six", "planar", "pendulum"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_case_of_each_arm_is_read_by_the_product(name: str, tmp_path: Path) -> None:
     """What is given away are three runs, an arm file and the drawing, and nothing of the truth."""

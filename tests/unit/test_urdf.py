@@ -108,6 +108,7 @@ def test_a_base_below_the_root_carries_what_is_above(tmp_path: Path, capsys: pyt
     assert pin.computeTotalMass(found) == pytest.approx(pin.computeTotalMass(urdf), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_what_is_exported_comes_back(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(seed)
@@ -436,6 +437,7 @@ def test_bodies_that_cannot_exist_are_refused(gap: tuple[Arm, Model]) -> None:
         nearest_bodies(arm, cad, Model("other", parameters={"a33": Quantity(1.0)}))
 
 
+@pytest.mark.slow
 def test_the_examples_arm_is_read_by_pinocchio_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "arm"
     import_urdf(EXAMPLE / "arm.urdf", out, None, None, EXAMPLE / "answers.toml", None, "-")
