@@ -614,28 +614,34 @@ static void merge(zygos_store_t *self, uint32_t kind)
     reseal(self);
 }
 
-/* The spread of the work in a block of closed arcs of energy rows. */
-static double spread_of(const zygos_store_t *self, uint32_t kind, uint32_t rank)
-{
-    const matrix_t matrix = matrix_of(readable(self), kind, zygos_store_place(self, kind, rank), 0);
-    const double fade = zygos_store_head(self, kind, rank)->fade;
-    return (matrix.width > 1u) ? fade * matrix.gram[zygos_gram_entries(matrix.width - 1u) - 1u] : 0.0;
-}
-
 /* The sizes of the blocks: their instants; of closed arcs of energy rows their share in all of these, or, where that is
    larger, in the spread of the work, so that blocks of motion do not merge while the arm rests. */
 static void write_sizes(const zygos_store_t *self, uint32_t kind, double *size)
 {
-    double instants = 0.0;
-    double spread = 0.0;
-    for (uint32_t r = 0; r < self->count; r++) {
-        const bool shares = is_buffered(kind) && (r < self->closed);
-        size[r] = zygos_store_instants_of(self, kind, r);
-        instants += shares ? size[r] : 0.0;
-        spread += shares ? spread_of(self, kind, r) : 0.0;
+    if (!is_buffered(kind)) {
+        for (uint32_t r = 0; r < self->count; r++) {
+            size[r] = zygos_store_instants_of(self, kind, r);
+        }
+        return;
     }
-    for (uint32_t r = 0; (r < self->closed) && (spread > 0.0); r++) {
-        const double share = instants * (spread_of(self, kind, r) / spread);
+    const zygos_accumulator_t *sums = (const zygos_accumulator_t *)(const void *)self;
+    const uint32_t work = (sums->width > 1u) ? zygos_gram_entries(sums->width - 1u) - 1u : 0u;
+    double spread[ZYGOS_ORDER_PLACES];
+    double instants = 0.0;
+    double all = 0.0;
+    for (uint32_t r = 0; r < self->count; r++) {
+        const uint32_t place = self->order[r];
+        const zygos_block_t *block = &sums->block[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
+        const double fade = fade_of(&block->head);
+        const bool closed = (r < self->closed);
+        size[r] = fade * block->head.total;
+        spread[r] = fade * block->gram[work];
+        instants += closed ? size[r] : 0.0;
+        all += closed ? spread[r] : 0.0;
+    }
+    const double scale = (all > 0.0) ? instants / all : 0.0;
+    for (uint32_t r = 0; r < self->closed; r++) {
+        const double share = scale * spread[r];
         size[r] = (share > size[r]) ? share : size[r];
     }
 }

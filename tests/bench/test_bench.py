@@ -87,9 +87,10 @@ def test_the_solution_that_is_counted_has_every_parameter(tmp_path: Path) -> Non
 
 NOT_TOLD_APART = {
     name: "what a cycle does beside a copy that waits is no place of its own yet"
-    for name in ("spatial", "seven", "spatial, joint rows", "motor_coulomb", "spring_offset")
+    for name in ("seven", "spatial, joint rows")
 }
 DEAR_COPIES = {
+    "spatial, bare": "one cycle clears and merges blocks of p = 56 that no task had time for (1.68, docs/cost.md)",
     "seven, bare": "one cycle copies or clears a block of seven joints (docs/cost.md)",
     "seven": "one cycle copies a block of seven joints (docs/cost.md)",
     "ground": "the tables are verified in 32 cycles behind a copy, beside a joint row (1.52)",
@@ -205,7 +206,7 @@ def test_bytes_of_code_add_up(tmp_path: Path) -> None:
     library = found["library"]
     assert max(found[one].code for one in ("frame", "step", "solve")) < library.code
     rooms = sum(found[one].code for one in RELEVANT if one != "frame") + found["solver"].code
-    assert 0.75 < rooms / library.code < 1.0
+    assert 0.7 < rooms / library.code < 1.0  # the guard, the comparison of arcs and the texts have no room of their own
     assert library.stack == max(one.stack for one in found.values())
 
 
