@@ -30,7 +30,6 @@ typedef struct {
     double arcs;
     uint32_t columns; /* Without the gains, of which the prior tells more than one arc, */
     uint32_t gains;   /* and these, which are the last. */
-    uint32_t reserved;
 } newest_t;
 
 static double packed_entry(const double *packed, uint32_t i, uint32_t j)

@@ -626,7 +626,7 @@ static void write_sizes(const zygos_store_t *self, uint32_t kind, double *size)
     }
     const zygos_accumulator_t *sums = (const zygos_accumulator_t *)(const void *)self;
     const uint32_t work = (sums->width > 1u) ? zygos_gram_entries(sums->width - 1u) - 1u : 0u;
-    double spread[ZYGOS_ORDER_PLACES];
+    double spread[ZYGOS_ORDER_PLACES] = { 0.0 };
     double instants = 0.0;
     double all = 0.0;
     for (uint32_t r = 0; r < self->count; r++) {
@@ -655,7 +655,7 @@ static uint32_t pair_to_merge(zygos_store_t *self, uint32_t kind)
     const uint32_t used = (self->count < self->fresh + IN_USE) ? self->fresh : self->count - IN_USE;
     const uint32_t region[2] = { 0, self->fresh };
     const uint32_t end[2] = { self->closed, used };
-    double size[ZYGOS_ORDER_PLACES];
+    double size[ZYGOS_ORDER_PLACES] = { 0.0 };
     double least = 2.0 * ZYGOS_MAX_INSTANTS;
     uint32_t fits = self->count;
     write_sizes(self, kind, size);
