@@ -506,6 +506,13 @@ static bool has_parts(const zygos_store_t *self, uint32_t kind)
     return self->part < layout_of(kind)->parts;
 }
 
+/* Turns to the next matrix of the block, and returns whether there is one. */
+static bool turn_to_next_part(zygos_store_t *self, uint32_t kind)
+{
+    begin_part(self, kind, self->part + 1u);
+    return has_parts(self, kind);
+}
+
 uint32_t zygos_store_part(const zygos_store_t *self, uint32_t kind)
 {
     const layout_t *layout = layout_of(kind);
@@ -535,8 +542,7 @@ static void clear_part(zygos_store_t *self, uint32_t kind)
             return;
         }
         memset(rows.sum, 0, rows.width * sizeof rows.sum[0]);
-        begin_part(self, kind, self->part + 1u);
-        if (has_parts(self, kind)) {
+        if (turn_to_next_part(self, kind)) {
             return;
         }
     }
@@ -763,8 +769,14 @@ static bool is_matrix_whole(zygos_store_t *self, uint32_t kind, uint32_t place, 
     return (off > -COUNTED) && (off < COUNTED);
 }
 
-/* Compares the next rows of a block with their row sums. What follows the last row is a part of its own but for motors,
-   where it costs little. */
+/* Whether the part of a task before this row is followed by another one of the matrix: by more rows, or by what follows
+   the last one, which is a part of its own but for motors, where it costs little. */
+static bool goes_on(matrix_t matrix, uint32_t end)
+{
+    return (end < matrix.width) || (matrix.width > (uint32_t)ZYGOS_MAX_MOTOR_ROW);
+}
+
+/* Compares the next rows of a block with their row sums. */
 static void verify(zygos_store_t *self, uint32_t kind)
 {
     const uint32_t place = first_of(self->pair);
@@ -774,7 +786,7 @@ static void verify(zygos_store_t *self, uint32_t kind)
             const uint32_t end = zygos_store_part(self, kind);
             zygos_gram_scan(&self->scan, matrix.gram, self->row, end);
             self->row = end;
-            if ((end < matrix.width) || (matrix.width > (uint32_t)ZYGOS_MAX_MOTOR_ROW)) {
+            if (goes_on(matrix, end)) {
                 return;
             }
         }
@@ -782,8 +794,7 @@ static void verify(zygos_store_t *self, uint32_t kind)
             reject(self, kind);
             return;
         }
-        begin_part(self, kind, self->part + 1u);
-        if (has_parts(self, kind)) {
+        if (turn_to_next_part(self, kind)) {
             return;
         }
     }
@@ -925,7 +936,7 @@ static void eliminate(zygos_store_t *self, uint32_t kind)
         if (self->row < last) {
             const uint32_t part = zygos_store_part(self, kind);
             eliminate_rows(self, kind, rows, (part < last) ? part : last);
-            if ((part < rows.width) || (rows.width > (uint32_t)ZYGOS_MAX_MOTOR_ROW)) {
+            if (goes_on(rows, part)) {
                 return;
             }
         }
@@ -933,8 +944,7 @@ static void eliminate(zygos_store_t *self, uint32_t kind)
             reject(self, kind);
             return;
         }
-        begin_part(self, kind, self->part + 1u);
-        if (has_parts(self, kind)) {
+        if (turn_to_next_part(self, kind)) {
             return;
         }
     }
@@ -968,8 +978,7 @@ static bool has_more(zygos_store_t *self, uint32_t kind, uint32_t end)
     if (zygos_store_is_noise(self)) {
         return false;
     }
-    begin_part(self, kind, self->part + 1u);
-    if (has_parts(self, kind)) {
+    if (turn_to_next_part(self, kind)) {
         return true;
     }
     self->rank++;

@@ -41,7 +41,10 @@ MARKS = 2
 """Parts of a cycle, each of which the driver ends by a mark: the cycle, and what the background does behind it."""
 TOGETHER = "frame + step"
 """A full cycle: its frames in, its row accumulated, and its part of everything else."""
-FOLDED = {"motorsums": "impulse", "momentumsums": "momentum", "jointsums": "joint", "reduction": "balance"}
+FOLDED = {
+    "motorsums": "impulse", "momentumsums": "momentum", "jointsums": "joint", "reduction": "balance",
+    "change": "solver",
+}  # fmt: skip
 """Files that are part of another room."""
 KINDS = ("fills", "block", "arc", "cycle", "waits", "hands")
 """Of cycles, as bench/driver.c numbers them."""

@@ -11,11 +11,13 @@ from rich.table import Table
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import losses
 from zygos.files.output import counted, errors, note, number
-from zygos.native.flight import REASONS, Estimate
+from zygos.native.flight import REASONS, Estimate, lib
 
 TABLE_S, LINE_S = 1.0, 2.0
 """Time between two states of the table, and between two lines, s."""
-_TOO_EARLY = {REASONS[1], REASONS[2], REASONS[7]}
+_TOO_EARLY = {
+    REASONS[code] for code in (lib.ZYGOS_REASON_NO_DATA, lib.ZYGOS_REASON_NOT_IDENTIFIABLE, lib.ZYGOS_REASON_NOISE)
+}
 """Reasons of a refusal that more motion removes: too few instants, a motion that does not determine every parameter,
 noise as large as the motion."""
 

@@ -127,7 +127,7 @@ class Watch:
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
         if not estimate.consecutive:
             self.plainest = self._settled  # the deviation in arcs that were left out was not a change
-        drift = self.flight.drift()
+        drift = self.flight.compared()
         best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
         # motor rows from the time of an arc that was left out are no evidence about an arc that agrees
         spoilt = not estimate.consecutive and any(arc.last + self._reach > drift.until for arc in self.left_out)

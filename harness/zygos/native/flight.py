@@ -481,10 +481,14 @@ class Flight:
         lib.zygos_batch_cycles(self.native, native, len(cycles), table.native if table else ffi.NULL)
         return table.trace() if table else None
 
-    def estimate(self) -> Estimate:
-        """Take and solve. The accumulation is not disturbed."""
+    def _solve(self) -> None:
+        """Solve a copy of the sums."""
         lib.zygos_arm_take(self.native, self._work)
         lib.zygos_work_solve(self._work, self._estimate)
+
+    def estimate(self) -> Estimate:
+        """Take and solve. The accumulation is not disturbed."""
+        self._solve()
         out, p = self._estimate, self._estimate.parameters
         return Estimate(
             names=self.names,
@@ -526,8 +530,11 @@ class Flight:
 
     def drift(self) -> Drift:
         """Compare the newest arc with the running solution that was adopted. The accumulation is not disturbed."""
-        lib.zygos_arm_take(self.native, self._work)
-        lib.zygos_work_solve(self._work, self._estimate)
+        self._solve()
+        return self.compared()
+
+    def compared(self) -> Drift:
+        """The comparison of the newest arc that the last `estimate` made beside its values."""
         out, p = self._work.solver.newest, len(self.names)
         far = np.frombuffer(ffi.buffer(out.deviation), dtype=np.float64)[:p].copy()
         return Drift(self.names, far, REASONS[out.reason], int(out.until))
@@ -570,8 +577,7 @@ class Flight:
 
     def blocks(self) -> Blocks:
         """The blocks behind the sigmas, the open arcs ended; not weighed."""
-        lib.zygos_arm_take(self.native, self._work)
-        lib.zygos_work_solve(self._work, self._estimate)  # ends the open arcs of the copy
+        self._solve()  # ends the open arcs of the copy
         sums, joints, momenta = self._work.sums.energy, self._work.sums.motors, self._work.sums.momentum
         rows = self._work.sums.joints
         pointer, width = ffi.addressof(sums), len(self.names) + 1

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 GAP = 2.5
-"""Usual intervals above which a step is that of a gap, whose motion is not small."""
+"""A pause of a signal that is longer than that many of its usual intervals is a gap; the motion in it is not small."""
 _CODE_COUNT, _CODE_SHARE = 3, 0.6
 """Number of equal values, and their share, from which on they are a code rather than readings."""
 

@@ -26,6 +26,7 @@ from zygos.errors import ZygosError
 from zygos.files.output import counted
 from zygos.native.flight import MAX_REFUSED_SHARE
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
+from zygos.runs.outliers import GAP
 from zygos.runs.samples import calibrate
 from zygos.runs.smoother import smooth
 from zygos.telemetry.map import Channel, Field, Map, Recording
@@ -33,8 +34,6 @@ from zygos.telemetry.map import Channel, Field, Map, Recording
 Floats = NDArray[np.float64]
 InterpolationMethod = Literal["hold", "linear", "cubic", "quintic"]
 
-GAP = 2.5
-"""A pause of a signal that is longer than that many of its usual intervals is a gap: a hole, or a bridged one."""
 MANY_REPEATED = 0.05
 """Share of repeated stamps above which a clock is too coarse for its signal."""
 SPAN_MAX = 50
