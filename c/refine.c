@@ -345,7 +345,7 @@ static bool repair_settings(zygos_refine_t *self)
  * whether there can be any. */
 static bool rebuild(zygos_refine_t *self, const zygos_config_t *config)
 {
-    const uint32_t head = self->queue.head;
+    const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
     if (!make_tables(self, config)) {
         return false;
     }
@@ -395,9 +395,10 @@ int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
         abandon(self);
         found |= (uint32_t)ZYGOS_SCRUBBED_SUMS;
     }
-    if ((self->queue.head > (uint32_t)ZYGOS_CYCLE_QUEUE) || (self->queue.tail > (uint32_t)ZYGOS_CYCLE_QUEUE)) {
-        self->queue.head = 0u;
-        self->queue.tail = 0u;
+    const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE); /* the step may be appending */
+    if ((head > (uint32_t)ZYGOS_CYCLE_QUEUE) || (self->queue.tail > (uint32_t)ZYGOS_CYCLE_QUEUE)) {
+        __atomic_store_n(&self->queue.head, 0u, __ATOMIC_RELEASE);
+        __atomic_store_n(&self->queue.tail, 0u, __ATOMIC_RELEASE);
         found |= (uint32_t)ZYGOS_SCRUBBED_PLACES;
     }
     if (found != 0u) {

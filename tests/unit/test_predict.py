@@ -32,6 +32,7 @@ def flown(name: str, seed: int) -> tuple[Model, Run]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["paper", "lively", "spatial"])
 def test_the_true_model_leaves_noise_alone(name: str) -> None:
     model, run = flown(name, seed=1)
     found = predict(model, run)
