@@ -66,33 +66,57 @@ static bool is_rotation(const double *r)
     return good && (determinant > 0.0);
 }
 
-static int check_joint(const zygos_config_t *config, uint32_t i)
+/* Whether joint i has a node number that no other node before it has. */
+static bool node_fits(const zygos_config_t *config, uint32_t i)
+{
+    const uint32_t node = config->joint[i].node;
+    bool good = (node >= 1u) && (node <= 31u) && (node != config->imu_node);
+    for (uint32_t j = 0; j < i; j++) {
+        good = good && (node != config->joint[j].node);
+    }
+    return good;
+}
+
+static bool axis_fits(const zygos_config_t *config, uint32_t i)
 {
     const zygos_joint_config_t *joint = &config->joint[i];
-    if ((joint->node < 1u) || (joint->node > 31u) || (joint->node == config->imu_node)) {
-        return ZYGOS_E_NODE;
-    }
-    for (uint32_t j = 0; j < i; j++) {
-        if (joint->node == config->joint[j].node) {
-            return ZYGOS_E_NODE;
-        }
-    }
     const bool in_plane = (config->kinetic != ZYGOS_SPATIAL_ARM);
-    if (!within(dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) ||
-        (in_plane && !within(dot3(joint->axis, config->joint[0].axis), 1.0 - 1e-9, 1.0 + 1e-9)) ||
-        (!in_plane && !is_rotation(joint->frame))) {
-        return ZYGOS_E_AXIS;
-    }
-    const double period = config->period_s;
-    const double latch = 1e-6 * joint->latch_us;
-    const bool motor = within(joint->gear_ratio, 1e-3, 1e6) && is_sign(joint->motor_sign) &&
-                       within(joint->motor_zero_rad, -1e3, 1e3) && within(joint->motor_sigma_rad, 0.0, 1.0) &&
-                       within(joint->motor_latch_s + latch, 0.0, period);
-    const bool link = is_sign(joint->link_sign) && within(joint->link_zero_rad, -1e3, 1e3) &&
-                      within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->link_latch_s + latch, 0.0, period);
+    return within(dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) &&
+           (in_plane ? within(dot3(joint->axis, config->joint[0].axis), 1.0 - 1e-9, 1.0 + 1e-9)
+                     : is_rotation(joint->frame));
+}
+
+static bool encoder_fits(double sign, double zero_rad, double sigma_rad, double latch_s, double period_s)
+{
+    return is_sign(sign) && within(zero_rad, -1e3, 1e3) && within(sigma_rad, 0.0, 1.0) &&
+           within(latch_s, 0.0, period_s);
+}
+
+static bool drive_fits(const zygos_config_t *config, uint32_t i)
+{
+    const zygos_joint_config_t *joint = &config->joint[i];
+    const double latch_s = 1e-6 * joint->latch_us;
+    const bool motor = within(joint->gear_ratio, 1e-3, 1e6) &&
+                       encoder_fits(joint->motor_sign, joint->motor_zero_rad, joint->motor_sigma_rad,
+                                    joint->motor_latch_s + latch_s, config->period_s);
+    const bool link =
+        (joint->rigid == 1u) ||
+        ((joint->rigid == 0u) && encoder_fits(joint->link_sign, joint->link_zero_rad, joint->link_sigma_rad,
+                                              joint->link_latch_s + latch_s, config->period_s));
     const bool torque = within(joint->torque_sigma, 0.0, LARGEST_VALUE) &&
                         within(joint->torque_relative_sigma, 0.0, 1.0) && within(joint->torque_gain_sigma, 0.0, 1.0);
-    return (motor && torque && (link || (joint->rigid != 0)) && (joint->rigid <= 1u)) ? 1 : ZYGOS_E_VALUE;
+    return motor && link && torque;
+}
+
+static int check_joint(const zygos_config_t *config, uint32_t i)
+{
+    if (!node_fits(config, i)) {
+        return ZYGOS_E_NODE;
+    }
+    if (!axis_fits(config, i)) {
+        return ZYGOS_E_AXIS;
+    }
+    return drive_fits(config, i) ? 1 : ZYGOS_E_VALUE;
 }
 
 static bool base_fits(const zygos_config_t *config)
@@ -124,6 +148,25 @@ static bool arcs_fit(const zygos_config_t *config)
            ((momentum == 0) || ((ZYGOS_MOMENTUM != 0) && (momentum >= shortest)));
 }
 
+static bool smoother_fits(const zygos_config_t *config)
+{
+    const uint32_t m = config->smoother_half_width;
+    return (m >= 2u) && (m <= ZYGOS_MAX_HALF_WIDTH) && (config->smoother_order >= 2u) &&
+           (config->smoother_order <= 2u * m - 2u) && (config->smoother_lag == m);
+}
+
+static bool gyro_node_fits(const zygos_config_t *config)
+{
+    return ((config->imu_node >= 1u) || (config->base != ZYGOS_BASE_FREE)) && (config->imu_node <= 31u);
+}
+
+static bool values_fit(const zygos_config_t *config)
+{
+    return (config->imu_fine <= 1u) && is_rotation(config->imu_to_base) &&
+           within(config->imu_latch_s, 0.0, config->period_s) && within(config->imu_sigma, 0.0, 1.0) &&
+           within(config->forgetting_factor, 0.9, 1.0) && (config->compensation <= 2u * ZYGOS_MAX_JOINTS + 3u);
+}
+
 int zygos_config_check(const zygos_config_t *config)
 {
     if (config == NULL) {
@@ -147,20 +190,16 @@ int zygos_config_check(const zygos_config_t *config)
     if (config->torque_law > ZYGOS_TORQUE_SAMPLED) {
         return ZYGOS_E_TORQUE_LAW;
     }
-    const uint32_t m = config->smoother_half_width;
-    if ((m < 2u) || (m > ZYGOS_MAX_HALF_WIDTH) || (config->smoother_order < 2u) ||
-        (config->smoother_order > 2u * m - 2u) || (config->smoother_lag != m)) {
+    if (!smoother_fits(config)) {
         return ZYGOS_E_SMOOTHER;
     }
     if (!arcs_fit(config)) {
         return ZYGOS_E_ARC;
     }
-    if (((config->imu_node < 1u) && (config->base == ZYGOS_BASE_FREE)) || (config->imu_node > 31u)) {
+    if (!gyro_node_fits(config)) {
         return ZYGOS_E_NODE;
     }
-    if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
-        !within(config->imu_latch_s, 0.0, config->period_s) || !within(config->imu_sigma, 0.0, 1.0) ||
-        !within(config->forgetting_factor, 0.9, 1.0) || (config->compensation > 2u * ZYGOS_MAX_JOINTS + 3u)) {
+    if (!values_fit(config)) {
         return ZYGOS_E_VALUE;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -665,6 +704,16 @@ static void add_energy(zygos_arm_t *self, bool busy)
     }
 }
 
+/* The share of what is in the open arcs that is left when they close. */
+static void forget(zygos_sums_t *sums)
+{
+    const double factor = sums->config.forgetting_factor;
+    sums->forgetting[ZYGOS_ENERGY_ROWS] *= factor;
+    sums->forgetting[ZYGOS_MOTOR_ROWS] *= factor;
+    sums->forgetting[ZYGOS_MOMENTUM_ROWS] *= (ZYGOS_MOMENTUM != 0) ? factor : 1.0;
+    sums->forgetting[ZYGOS_JOINT_KIND] *= factor;
+}
+
 static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
 {
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
@@ -674,23 +723,15 @@ static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
     double tau[ZYGOS_MAX_JOINTS];
     zygos_cycle_calibrate(&self->previous, &self->sums.config, cycle, signal, tau);
     const bool apart = (zygos_cycle_apart(signal, self->sums.config.joints) == 1);
-    if (wrapped) {
-        self->wraps++;
-    }
-    if (apart) {
-        self->apart++;
-    }
+    self->wraps += wrapped ? 1u : 0u;
+    self->apart += apart ? 1u : 0u;
     void_arcs(self, cycle);
     if (!follows || wrapped || (apart && (self->smoother.filled > 0))) {
         gap(self);
     }
     self->sums.cycle = cycle->sync;
     self->cycles++;
-    const double factor = self->sums.config.forgetting_factor;
-    self->sums.forgetting[ZYGOS_ENERGY_ROWS] *= factor;
-    self->sums.forgetting[ZYGOS_MOTOR_ROWS] *= factor;
-    self->sums.forgetting[ZYGOS_MOMENTUM_ROWS] *= (ZYGOS_MOMENTUM != 0) ? factor : 1.0;
-    self->sums.forgetting[ZYGOS_JOINT_KIND] *= factor;
+    forget(&self->sums);
     self->instant = 0;
     if (apart) {
         return;
@@ -965,6 +1006,46 @@ static void drop_unverified(zygos_arm_t *self)
     zygos_guard_clear(&self->sums.guard, false, self->sums.cycle);
 }
 
+/* Compares the configuration with the caller's, and repairs it. Returns bits of enum zygos_scrubbed, or
+   ZYGOS_E_CONFIG where the caller's is not the one that was given. */
+static int scrub_config(zygos_arm_t *self, const zygos_config_t *config)
+{
+    if (zygos_is_same(&self->sums.config, config, (uint32_t)sizeof *config)) {
+        return 0;
+    }
+    const uint64_t checksum = zygos_checksum_memory(0, &self->sums.config, sizeof self->sums.config);
+    if ((self->config_checksum == checksum) ||
+        (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config))) {
+        return ZYGOS_E_CONFIG;
+    }
+    self->sums.config = *config;
+    zygos_receiver_resume(&self->receiver); /* what waits may lack joints that it did not name */
+    return (int)ZYGOS_SCRUBBED_CONFIG;
+}
+
+static bool are_arm_tables_whole(const zygos_arm_t *self)
+{
+    return (self->config_checksum == zygos_checksum_memory(0, &self->sums.config, sizeof self->sums.config)) &&
+           (self->tables_checksum == zygos_tables_checksum(self)) && (self->places == places_of(self));
+}
+
+/* Settles what flipped in the guard, and what an arc that was ending left. Returns bits of enum zygos_scrubbed. */
+static uint32_t settle(zygos_arm_t *self)
+{
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        if (zygos_sums_is_intact(&self->sums, kind, &self->sums.column_map)) {
+            zygos_guard_settle(&self->sums, kind);
+        }
+    }
+    if (!is_steady(self)) {
+        return (uint32_t)ZYGOS_SCRUBBED_PLACES;
+    }
+    if (self->sums.ending != 0) {
+        zygos_sums_settle(&self->sums);
+    }
+    return 0;
+}
+
 int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
@@ -977,43 +1058,24 @@ int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
     if ((config == &self->sums.config) || (zygos_config_check(config) < 0)) {
         return ZYGOS_E_CONFIG;
     }
-    uint32_t found = (off != 0) ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
-    const uint64_t checksum = zygos_checksum_memory(0, &self->sums.config, sizeof self->sums.config);
-    if (!zygos_is_same(&self->sums.config, config, (uint32_t)sizeof *config)) {
-        if ((self->config_checksum == checksum) ||
-            (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config))) {
-            return ZYGOS_E_CONFIG;
-        }
-        self->sums.config = *config;
-        zygos_receiver_resume(&self->receiver); /* what waits may lack joints that it did not name */
-        found |= (uint32_t)ZYGOS_SCRUBBED_CONFIG;
+    const int compared = scrub_config(self, config);
+    if (compared < 0) {
+        return compared;
     }
+    uint32_t found = (uint32_t)compared | ((off != 0) ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u);
     self->magic = MAGIC;
-    const bool tables = (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config)) ||
-                        (self->tables_checksum != zygos_tables_checksum(self)) || (self->places != places_of(self));
-    if (tables) {
-        found |= (uint32_t)ZYGOS_SCRUBBED_TABLES;
-    }
+    found |= are_arm_tables_whole(self) ? 0u : (uint32_t)ZYGOS_SCRUBBED_TABLES;
+    const bool rebuilt = (found & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) != 0u;
     const bool unmoved = (self->moving == moving_of(self));
-    if (found & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {
+    if (rebuilt) {
         make_tables(self); /* which empties the smoother */
         self->moving = unmoved ? moving_of(self) : self->moving;
     }
-    const uint32_t rebuilt = found;
-    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
-        if (zygos_sums_is_intact(&self->sums, kind, &self->sums.column_map)) {
-            zygos_guard_settle(&self->sums, kind);
-        }
-    }
-    const bool steady = is_steady(self);
-    found |= steady ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
-    if (steady && (self->sums.ending != 0)) {
-        zygos_sums_settle(&self->sums);
-    }
+    found |= settle(self);
     found |= scrub_sums(self);
     self->moving = unmoved ? moving_of(self) : self->moving;
     found |= scrub_places(self);
-    if (rebuilt & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {
+    if (rebuilt) {
         drop_unverified(self);
     }
     self->scrubbed = self->sums.cycle;

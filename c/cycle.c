@@ -1,5 +1,6 @@
 #include "zygos/priv/cycle.h"
 
+#include "zygos/priv/fields.h"
 #include "zygos/priv/gram.h"
 
 #include <string.h>

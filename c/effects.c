@@ -59,6 +59,27 @@ static bool known(const zygos_effect_config_t *effect)
     return false;
 }
 
+/* Whether the arm can have an effect, which needs a spring or a declared error where it is of these. */
+static bool fits_arm(const zygos_config_t *config, const zygos_effect_config_t *effect)
+{
+    if (!known(effect) || (effect->joint >= config->joints)) {
+        return false;
+    }
+    const zygos_joint_config_t *joint = &config->joint[effect->joint];
+    return (!stored(effect) || (joint->rigid == 0)) &&
+           ((effect->kind != ZYGOS_TORQUE_GAIN) || (joint->torque_gain_sigma > 0.0));
+}
+
+static bool stands_before(const zygos_config_t *config, uint32_t e)
+{
+    bool found = false;
+    for (uint32_t other = 0; other < e; other++) {
+        found = found || ((config->effect[e].kind == config->effect[other].kind) &&
+                          (config->effect[e].joint == config->effect[other].joint));
+    }
+    return found;
+}
+
 int zygos_effects_check(const zygos_config_t *config)
 {
     if (config->effects > (uint32_t)ZYGOS_MAX_EFFECTS) {
@@ -67,24 +88,11 @@ int zygos_effects_check(const zygos_config_t *config)
     uint32_t gains = 0;
     for (uint32_t e = 0; e < config->effects; e++) {
         const zygos_effect_config_t *effect = &config->effect[e];
-        if (!known(effect) || (effect->joint >= config->joints)) {
+        const bool gain = (effect->kind == ZYGOS_TORQUE_GAIN);
+        if (!fits_arm(config, effect) || stands_before(config, e) || ((gains > 0) && !gain)) {
             return ZYGOS_E_EFFECT;
         }
-        if (stored(effect) && (config->joint[effect->joint].rigid != 0)) {
-            return ZYGOS_E_EFFECT;
-        }
-        gains += (effect->kind == ZYGOS_TORQUE_GAIN) ? 1u : 0u;
-        if ((effect->kind == ZYGOS_TORQUE_GAIN) && !(config->joint[effect->joint].torque_gain_sigma > 0.0)) {
-            return ZYGOS_E_EFFECT;
-        }
-        for (uint32_t other = 0; other < e; other++) {
-            if ((effect->kind == config->effect[other].kind) && (effect->joint == config->effect[other].joint)) {
-                return ZYGOS_E_EFFECT;
-            }
-        }
-        if ((gains > 0) && (effect->kind != ZYGOS_TORQUE_GAIN)) {
-            return ZYGOS_E_EFFECT;
-        }
+        gains += gain ? 1u : 0u;
     }
     return (gains < config->joints) ? 1 : ZYGOS_E_EFFECT;
 }

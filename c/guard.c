@@ -659,18 +659,25 @@ static bool is_within(double x, double low, double high)
     return (x >= low) && (x <= high);
 }
 
-bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
+/* Whether an estimate is one that arcs can be compared with. */
+static bool is_adoptable(const zygos_sums_t *sums, const zygos_estimate_t *estimate)
 {
-    zygos_guard_t *self = &sums->guard;
+    const zygos_guard_t *self = &sums->guard;
     const uint32_t p = sums->column_map.parameters;
     const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
                               (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (self->known == 0);
     /* One that is of the newest arc, too, waits until that was compared with the solution before it. */
     const bool waits = (self->known != 0) && (self->held_instants > 0.0) &&
                        (self->held_instants < zygos_guard_enough(&sums->config, p));
-    bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && !waits &&
-                (estimate->parameters == p) && (estimate->cycle > self->since) &&
-                is_within(estimate->residual, 0.0, LARGEST_SUM);
+    return ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && !waits && (estimate->parameters == p) &&
+           (estimate->cycle > self->since) && is_within(estimate->residual, 0.0, LARGEST_SUM);
+}
+
+bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
+{
+    zygos_guard_t *self = &sums->guard;
+    const uint32_t p = sums->column_map.parameters;
+    bool good = is_adoptable(sums, estimate);
     double wider[ZYGOS_MAX_PARAMETERS];
     for (uint32_t i = 0; good && (i < p); i++) {
         wider[i] = (estimate->sigma[i] > 0.0) ? estimate->half95[i] / (TWO_SIGMAS * estimate->sigma[i]) : 1.0;

@@ -76,16 +76,40 @@ static void planar_pairs(zygos_propagation_t *self, const zygos_config_t *config
     }
 }
 
+static bool is_flexible(const zygos_config_t *config)
+{
+    bool all = true;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        all = all && (config->joint[i].rigid == 0u);
+    }
+    return all;
+}
+
+/* The bodies that the directions are fixed to: three of the base of a spatial arm, two of a body where its centre of
+   mass may lie beside the line between its joints, or gravity acts on it. */
+static void list_directions(zygos_propagation_t *self, const zygos_config_t *config)
+{
+    const bool spatial = (config->kinetic == ZYGOS_SPATIAL_ARM);
+    uint32_t gravity = 0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        gravity |= self->geometry.has_gravity[i];
+    }
+    const uint32_t sides = (spatial || (config->kinetic == ZYGOS_PLANAR) || (gravity != 0u)) ? 2u : 1u;
+    for (uint32_t i = (config->base == ZYGOS_BASE_FREE) ? 0u : 1u; i <= config->joints; i++) {
+        const uint32_t count = (spatial && (i == 0u)) ? 3u : sides;
+        for (uint32_t k = 0; k < count; k++) {
+            self->body[self->directions] = (uint8_t)i;
+            self->directions++;
+        }
+    }
+}
+
 int zygos_propagation_init(zygos_propagation_t *self, const zygos_config_t *config, uint32_t steps, uint32_t friction)
 {
     const bool floats = (config->base == ZYGOS_BASE_FREE);
     const bool spatial = (config->kinetic == ZYGOS_SPATIAL_ARM);
     const uint32_t n = config->joints;
-    bool good = (steps >= 1u) && (steps <= 1000u) && (friction <= 1u);
-    for (uint32_t i = 0; i < n; i++) {
-        good = good && (config->joint[i].rigid == 0u);
-    }
-    if (!good) {
+    if (!is_flexible(config) || (steps < 1u) || (steps > 1000u) || (friction > 1u)) {
         return ZYGOS_E_VALUE;
     }
     memset(self, 0, sizeof *self);
@@ -96,18 +120,7 @@ int zygos_propagation_init(zygos_propagation_t *self, const zygos_config_t *conf
     self->parameters = self->column_map.reduced;
     self->steps = steps;
     self->friction = friction;
-    uint32_t gravity = 0;
-    for (uint32_t i = 0; i < n; i++) {
-        gravity |= self->geometry.has_gravity[i];
-    }
-    const uint32_t sides = (spatial || (config->kinetic == ZYGOS_PLANAR) || (gravity != 0u)) ? 2u : 1u;
-    for (uint32_t i = floats ? 0u : 1u; i <= n; i++) {
-        const uint32_t count = (spatial && (i == 0u)) ? 3u : sides;
-        for (uint32_t k = 0; k < count; k++) {
-            self->body[self->directions] = (uint8_t)i;
-            self->directions++;
-        }
-    }
+    list_directions(self, config);
     if (spatial) {
         spatial_pairs(self, floats);
     } else {

@@ -72,17 +72,9 @@ int zygos_reduction_check(const zygos_config_t *config)
     return good ? 1 : ZYGOS_E_REDUCTION;
 }
 
-void zygos_reduction_places(const zygos_config_t *config, zygos_column_map_t *column_map)
+/* The places of columns that a parameter consists of, with the factor 1. */
+static void select_places(const zygos_config_t *config, zygos_column_map_t *column_map)
 {
-    const bool whole = (config->reduced == 0);
-    column_map->reduced = whole ? column_map->effects : config->reduced;
-    column_map->parameters = column_map->reduced + config->effects;
-    for (uint32_t c = 0; c < column_map->effects; c++) {
-        column_map->place[c] = whole ? c : ZYGOS_NO_PLACE;
-    }
-    for (uint32_t e = 0; e < config->effects; e++) {
-        column_map->place[column_map->effects + e] = column_map->reduced + e;
-    }
     uint32_t shares[ZYGOS_MAX_COLUMNS] = { 0 }; /* number of columns that a parameter counts for */
     const uint32_t entries =
         (config->reductions <= (uint32_t)ZYGOS_MAX_REDUCTION) ? config->reductions : (uint32_t)ZYGOS_MAX_REDUCTION;
@@ -100,6 +92,20 @@ void zygos_reduction_places(const zygos_config_t *config, zygos_column_map_t *co
             column_map->place[entry->column] = entry->parameter;
         }
     }
+}
+
+void zygos_reduction_places(const zygos_config_t *config, zygos_column_map_t *column_map)
+{
+    const bool whole = (config->reduced == 0);
+    column_map->reduced = whole ? column_map->effects : config->reduced;
+    column_map->parameters = column_map->reduced + config->effects;
+    for (uint32_t c = 0; c < column_map->effects; c++) {
+        column_map->place[c] = whole ? c : ZYGOS_NO_PLACE;
+    }
+    for (uint32_t e = 0; e < config->effects; e++) {
+        column_map->place[column_map->effects + e] = column_map->reduced + e;
+    }
+    select_places(config, column_map);
 }
 
 bool zygos_reduction_selects_all(const zygos_column_map_t *column_map)

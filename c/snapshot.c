@@ -1,9 +1,7 @@
-#include "zygos/snapshot.h"
+#include "zygos/zygos.h"
 
 #include <stddef.h>
 #include <string.h>
-
-#include "zygos/priv/arm.h"
 
 /* As of PNG: a transfer that strips the eighth bit or translates line ends spoils it. */
 static const uint8_t magic[8] = { 0x89, 'z', 'y', 'g', 'o', 's', '\r', '\n' };

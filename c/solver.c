@@ -854,6 +854,31 @@ static void subtract_rotors(const zygos_solver_t *work, double *m, uint32_t size
     }
 }
 
+/* Eliminates a symmetric matrix in its own place, up to the column split. Returns whether each pivot, and the sum of
+   the rest of the diagonal, is positive. */
+static bool eliminates(double *m, uint32_t size, uint32_t split)
+{
+    double rest = 0.0;
+    for (uint32_t i = 0; i < size; i++) {
+        for (uint32_t j = 0; j <= i; j++) {
+            double sum = m[at(i, j)];
+            for (uint32_t k = 0; (k < j) && (k < split); k++) {
+                sum -= m[at(i, k)] * m[at(j, k)];
+            }
+            if (j >= split) {
+                rest += (i == j) ? sum : 0.0;
+            } else if (i > j) {
+                m[at(i, j)] = sum / m[at(j, j)];
+            } else if (sum > 0.0) {
+                m[at(i, i)] = root(sum);
+            } else {
+                return false;
+            }
+        }
+    }
+    return (split == size) || (rest > 0.0);
+}
+
 /* A kinetic energy that is positive for every motion needs the matrix of the bodies less the rotors' share to be
    positive definite; its diagonal may fall short by some sigmas. A planar arm's has each a_ij once for each direction.
    The order of the directions is reversed: of the last two on a fixed base only the sum of the diagonal is known. */
@@ -882,25 +907,7 @@ static bool positive_definite(zygos_solver_t *work, const double *sigma)
         }
     }
     subtract_rotors(work, m, size);
-    double rest = 0.0;
-    for (uint32_t i = 0; i < size; i++) {
-        for (uint32_t j = 0; j <= i; j++) {
-            double sum = m[at(i, j)];
-            for (uint32_t k = 0; (k < j) && (k < split); k++) {
-                sum -= m[at(i, k)] * m[at(j, k)];
-            }
-            if (j >= split) {
-                rest += (i == j) ? sum : 0.0;
-            } else if (i > j) {
-                m[at(i, j)] = sum / m[at(j, j)];
-            } else if (sum > 0.0) {
-                m[at(i, i)] = root(sum);
-            } else {
-                return false;
-            }
-        }
-    }
-    return (split == size) || (rest > 0.0);
+    return eliminates(m, size, split);
 }
 
 /* Whether each kinetic diagonal and each Im that has a value is positive, and, when all have, the matrix of the bodies.

@@ -64,74 +64,75 @@ typedef struct {
 
 #define AT(type, member) ((uint32_t)offsetof(type, member))
 
+static const layout_t layouts[ZYGOS_KINDS_OF_ROWS] = {
+    [ZYGOS_ENERGY_ROWS] = {
+        .blocks = AT(zygos_accumulator_t, block),
+        .places = ZYGOS_MAX_BLOCKS,
+        .block = (uint32_t)sizeof(zygos_block_t),
+        .parts = 1u,
+        .sum = AT(zygos_block_t, sum),
+        .instants = AT(zygos_block_t, head) + AT(zygos_block_head_t, total),
+        .extras = AT(zygos_block_t, square),
+        .head = AT(zygos_block_t, head),
+        .fading = 2u, /* of the noise of torques, what is left is in proportion to the instants */
+        .noise_open = AT(zygos_accumulator_t, noise_open),
+        .noise_closed = AT(zygos_accumulator_t, noise_closed),
+        .noise = (uint32_t)sizeof(zygos_noise_sums_t),
+        .noise_sum = AT(zygos_noise_sums_t, sum),
+        .noise_adds = 8.0, /* each sensor by itself, and rounding is alike as long as the arm rests */
+        .cycles_verify = ZYGOS_PASS_CYCLES + 1u, /* an entry costs more than one whose constant is eliminated */
+        .cycles_eliminate = ZYGOS_PASS_CYCLES - 1u,
+        .cycles = ZYGOS_PASS_CYCLES,
+        .least = 48u,
+        .begins = 2u,
+        .spare = ZYGOS_SPARE_BLOCKS,
+        .fewest = ZYGOS_MIN_BLOCKS,
+        .overlaps = 1u,
+    },
+    [ZYGOS_MOTOR_ROWS] = {
+        .blocks = AT(zygos_motor_sums_t, block),
+        .places = ZYGOS_MAX_MOTOR_BLOCKS + 1u,
+        .block = (uint32_t)sizeof(zygos_motor_block_t),
+        .parts = ZYGOS_MAX_JOINTS,
+        .part = (uint32_t)sizeof(zygos_motor_gram_t),
+        .sum = AT(zygos_motor_gram_t, sum),
+        .instants = AT(zygos_motor_block_t, instants),
+        .extras = AT(zygos_motor_block_t, instants),
+        .head = AT(zygos_motor_block_t, head),
+        .fading = ZYGOS_MAX_JOINTS,
+        .cycles_verify = 6u,
+        .cycles_eliminate = 6u,
+        .cycles = 6u,
+        .least = 24u,
+        .begins = 1u,
+        .spare = 1u,
+    },
+    [ZYGOS_MOMENTUM_ROWS] = {
+        .blocks = AT(zygos_momentum_sums_t, block),
+        .places = ZYGOS_MOMENTUM_PLACES + 1u,
+        .block = (uint32_t)sizeof(zygos_momentum_block_t),
+        .parts = 1u,
+        .sum = AT(zygos_momentum_gram_t, sum),
+        .instants = AT(zygos_momentum_block_t, head) + AT(zygos_block_head_t, total),
+        .extras = AT(zygos_momentum_block_t, head),
+        .head = AT(zygos_momentum_block_t, head),
+        .noise_open = AT(zygos_momentum_sums_t, noise_open),
+        .noise_closed = AT(zygos_momentum_sums_t, noise_closed),
+        .noise = (uint32_t)sizeof(zygos_momentum_gram_t),
+        .noise_sum = AT(zygos_momentum_gram_t, sum),
+        .noise_adds = 1.0,
+        .cycles_verify = 6u,
+        .cycles_eliminate = 6u,
+        .cycles = 6u,
+        .least = 24u,
+        .begins = 1u,
+        .spare = 1u,
+    },
+};
+
 static const layout_t *layout_of(uint32_t kind)
 {
-    static const layout_t of[ZYGOS_KINDS_OF_ROWS] = {
-        [ZYGOS_ENERGY_ROWS] = {
-            .blocks = AT(zygos_accumulator_t, block),
-            .places = ZYGOS_MAX_BLOCKS,
-            .block = (uint32_t)sizeof(zygos_block_t),
-            .parts = 1u,
-            .sum = AT(zygos_block_t, sum),
-            .instants = AT(zygos_block_t, head) + AT(zygos_block_head_t, total),
-            .extras = AT(zygos_block_t, square),
-            .head = AT(zygos_block_t, head),
-            .fading = 2u, /* of the noise of torques, what is left is in proportion to the instants */
-            .noise_open = AT(zygos_accumulator_t, noise_open),
-            .noise_closed = AT(zygos_accumulator_t, noise_closed),
-            .noise = (uint32_t)sizeof(zygos_noise_sums_t),
-            .noise_sum = AT(zygos_noise_sums_t, sum),
-            .noise_adds = 8.0, /* each sensor by itself, and rounding is alike as long as the arm rests */
-            .cycles_verify = ZYGOS_PASS_CYCLES + 1u, /* an entry costs more than one whose constant is eliminated */
-            .cycles_eliminate = ZYGOS_PASS_CYCLES - 1u,
-            .cycles = ZYGOS_PASS_CYCLES,
-            .least = 48u,
-            .begins = 2u,
-            .spare = ZYGOS_SPARE_BLOCKS,
-            .fewest = ZYGOS_MIN_BLOCKS,
-            .overlaps = 1u,
-        },
-        [ZYGOS_MOTOR_ROWS] = {
-            .blocks = AT(zygos_motor_sums_t, block),
-            .places = ZYGOS_MAX_MOTOR_BLOCKS + 1u,
-            .block = (uint32_t)sizeof(zygos_motor_block_t),
-            .parts = ZYGOS_MAX_JOINTS,
-            .part = (uint32_t)sizeof(zygos_motor_gram_t),
-            .sum = AT(zygos_motor_gram_t, sum),
-            .instants = AT(zygos_motor_block_t, instants),
-            .extras = AT(zygos_motor_block_t, instants),
-            .head = AT(zygos_motor_block_t, head),
-            .fading = ZYGOS_MAX_JOINTS,
-            .cycles_verify = 6u,
-            .cycles_eliminate = 6u,
-            .cycles = 6u,
-            .least = 24u,
-            .begins = 1u,
-            .spare = 1u,
-        },
-        [ZYGOS_MOMENTUM_ROWS] = {
-            .blocks = AT(zygos_momentum_sums_t, block),
-            .places = ZYGOS_MOMENTUM_PLACES + 1u,
-            .block = (uint32_t)sizeof(zygos_momentum_block_t),
-            .parts = 1u,
-            .sum = AT(zygos_momentum_gram_t, sum),
-            .instants = AT(zygos_momentum_block_t, head) + AT(zygos_block_head_t, total),
-            .extras = AT(zygos_momentum_block_t, head),
-            .head = AT(zygos_momentum_block_t, head),
-            .noise_open = AT(zygos_momentum_sums_t, noise_open),
-            .noise_closed = AT(zygos_momentum_sums_t, noise_closed),
-            .noise = (uint32_t)sizeof(zygos_momentum_gram_t),
-            .noise_sum = AT(zygos_momentum_gram_t, sum),
-            .noise_adds = 1.0,
-            .cycles_verify = 6u,
-            .cycles_eliminate = 6u,
-            .cycles = 6u,
-            .least = 24u,
-            .begins = 1u,
-            .spare = 1u,
-        },
-    };
-    return &of[(kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) ? kind : 0u];
+    return &layouts[(kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) ? kind : 0u];
 }
 
 /* The rest of a kind, which is the memory of the whole. */
@@ -1408,12 +1409,12 @@ static bool is_factor(double fade)
 bool zygos_store_intact(const zygos_store_t *self, uint32_t kind, bool used)
 {
     const bool closing = zygos_store_closing(self);
-    bool good = zygos_store_steady(self) && are_places_possible(self, kind) && (self->task < ZYGOS_TASKS) &&
-                (self->part <= layout_of(kind)->parts) && (self->row <= ZYGOS_MAX_ANY_ROW) &&
-                (!closing || ((self->rank >= self->closed) && (self->rank <= self->fresh))) &&
-                is_factor(self->noise_fade) && (self->noise_fade > 0.0) && is_count(self->target) &&
-                (used ? (self->target >= 1.0)
-                      : (self->closed == 0) && (self->task == ZYGOS_TASK_NONE) && (self->arc_instants == 0));
+    const bool task = (self->task < ZYGOS_TASKS) && (self->part <= layout_of(kind)->parts) &&
+                      (self->row <= ZYGOS_MAX_ANY_ROW) &&
+                      (!closing || ((self->rank >= self->closed) && (self->rank <= self->fresh)));
+    const bool unused = (self->closed == 0) && (self->task == ZYGOS_TASK_NONE) && (self->arc_instants == 0);
+    bool good = zygos_store_steady(self) && are_places_possible(self, kind) && task && is_factor(self->noise_fade) &&
+                (self->noise_fade > 0.0) && is_count(self->target) && (used ? (self->target >= 1.0) : unused);
     for (uint32_t r = 0; good && (r < self->count); r++) {
         const zygos_block_head_t *head = zygos_store_head(self, kind, r);
         good = is_count(head->total) && is_factor(fade_of(head));
@@ -1505,11 +1506,17 @@ static void quarantine(zygos_store_t *self, uint32_t kind)
     }
 }
 
+/* Whether what all blocks have in common can be trusted, after a repair where one is possible. */
+static bool is_common_whole(zygos_store_t *self, uint32_t kind)
+{
+    return ((self->checksum == checksum_of(self)) || repair(self)) && (self->corrupt != 1u) &&
+           are_places_possible(self, kind) && (self->target >= 1.0) && is_factor(self->noise_fade) &&
+           (self->noise_fade > 0.0) && is_noise_whole(self, kind, CLOSED);
+}
+
 bool zygos_store_scrub(zygos_store_t *self, uint32_t kind)
 {
-    if (((self->checksum != checksum_of(self)) && !repair(self)) || (self->corrupt == 1u) ||
-        !are_places_possible(self, kind) || !(self->target >= 1.0) || !is_factor(self->noise_fade) ||
-        !(self->noise_fade > 0.0) || !is_noise_whole(self, kind, CLOSED)) {
+    if (!is_common_whole(self, kind)) {
         return false;
     }
     const bool moved = !zygos_store_steady(self); /* the noise may be that of the other arc */

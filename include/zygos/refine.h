@@ -20,7 +20,6 @@
 #ifndef ZYGOS_REFINE_H
 #define ZYGOS_REFINE_H
 
-#include "estimate.h"
 #include "priv/cycle.h"
 #include "priv/refiner.h"
 #include "types.h"

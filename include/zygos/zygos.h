@@ -25,13 +25,10 @@
 #ifndef ZYGOS_H
 #define ZYGOS_H
 
-#include "estimate.h"
 #include "priv/arm.h"
 #include "priv/handover.h"
 #include "priv/tables.h"
 #include "refine.h"
-#include "snapshot.h"
-#include "text.h"
 #include "types.h"
 #include "wire.h"
 
@@ -206,6 +203,80 @@ int zygos_seal(zygos_t *self, uint8_t *head);
 /// pass over the sums.
 int zygos_resume(zygos_t *self, const zygos_config_t *config, void *memory, uint32_t bytes, const uint8_t *head,
                  uint32_t length);
+
+/* ---------------------------------------------------------------- snapshots
+ *
+ * A snapshot is a head of ZYGOS_SNAPSHOT_HEAD bytes, followed by the memory of a zygos_config_t or a zygos_arm_t, the
+ * image. The head contains the kind of the image, its memory layout and byte order, and a CRC-32C over all of it;
+ * docs/snapshot.md has the format. The CRC detects accidental errors only: anybody can compute one, and errors that
+ * were in memory before are sealed with it. Therefore zygos_seal() and zygos_resume(), which seal and check the state
+ * of an arm by these functions, verify it beside that. */
+
+/// Length of the head in bytes.
+#define ZYGOS_SNAPSHOT_HEAD 24u
+/// Version of the head and of the meaning of the images, independent of the version of the library.
+#define ZYGOS_SNAPSHOT_FORMAT 1u
+
+/// The content of a snapshot.
+enum zygos_snapshot_kind {
+    ZYGOS_SNAPSHOT_CONFIG = 1, ///< The image is a zygos_config_t.
+    ZYGOS_SNAPSHOT_STATE = 2   ///< The image is a zygos_arm_t.
+};
+
+/// Writes the head of an image into head[ZYGOS_SNAPSHOT_HEAD]. kind: enum zygos_snapshot_kind. For a state, call it in
+/// the task of zygos_arm_step(), while no frame is being received. Returns 1, ZYGOS_E_NULL or ZYGOS_E_KIND. Cost: two
+/// table look-ups for each byte of the image.
+int zygos_snapshot_seal(uint32_t kind, const void *image, uint8_t *head);
+
+/// Checks a snapshot that was read back: length is the number of bytes, of which the first ZYGOS_SNAPSHOT_HEAD are in
+/// head and the others in image. Changes nothing. Returns 1 when the image is what was sealed; otherwise the image must
+/// not be used, and the result is the first of ZYGOS_E_NULL, ZYGOS_E_SNAPSHOT, ZYGOS_E_FORMAT, ZYGOS_E_KIND,
+/// ZYGOS_E_BYTE_ORDER, ZYGOS_E_LAYOUT, ZYGOS_E_LENGTH and ZYGOS_E_CRC that applies. Cost: as zygos_snapshot_seal().
+int zygos_snapshot_check(uint32_t kind, const uint8_t *head, const void *image, uint32_t length);
+
+/* ---------------------------------------------------------------- codes in words
+ *
+ * There is one function for each enumeration whose values mean one thing each; enumerations of bits have none, because
+ * their values are combinations. Every function returns a constant string in English, without a full stop, and
+ * "unknown code" for a number that is no value of its enumeration; it never returns null. A program that calls none of
+ * these functions does not link them: they are an object file of their own in the library. */
+
+/// What a call returned: enum zygos_error, and "no error" for 0 and above. The texts of the codes from ZYGOS_E_SNAPSHOT
+/// down continue a sentence that begins with the name of the stored file.
+const char *zygos_text(int code);
+
+/// Texts of enum zygos_validity and of enum zygos_reason, from an estimate.
+const char *zygos_validity_text(uint32_t validity);
+const char *zygos_reason_text(uint32_t reason);
+
+/// Text of a kind of rows, enum zygos_rows.
+const char *zygos_rows_text(uint32_t rows);
+
+/// Text of a kind of readings whose innovations are counted, enum zygos_channel.
+const char *zygos_channel_text(uint32_t channel);
+
+/// Text of why refined values are not published, enum zygos_refine_reason.
+const char *zygos_refine_text(uint32_t reason);
+
+/// Texts of enum zygos_reception, which zygos_arm_frame() returns, of enum zygos_message and of enum zygos_wire_fault.
+const char *zygos_reception_text(uint32_t reception);
+const char *zygos_message_text(uint32_t message);
+const char *zygos_wire_fault_text(uint32_t fault);
+
+/// Text of what a fault counter counts. counter: its place in zygos_faults_t, 0 .. ZYGOS_FAULT_COUNTERS - 1.
+const char *zygos_fault_text(uint32_t counter);
+
+/// Texts of the enumerations in a configuration: enum zygos_kinetic, zygos_base, zygos_torque_law, zygos_effect_kind.
+const char *zygos_kinetic_text(uint32_t kinetic);
+const char *zygos_base_text(uint32_t base);
+const char *zygos_torque_law_text(uint32_t torque_law);
+const char *zygos_effect_text(uint32_t kind);
+
+/// Text of where a solution is, enum zygos_stage.
+const char *zygos_stage_text(uint32_t stage);
+
+/// Text of a kind of snapshot, enum zygos_snapshot_kind.
+const char *zygos_snapshot_kind_text(uint32_t kind);
 
 #ifdef __cplusplus
 }

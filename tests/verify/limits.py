@@ -27,7 +27,7 @@ COUNTED = {"x86-64": ("paper, bare", "paper", "spatial"), "m7": ("paper, bare", 
 """Configurations of tests/bench whose cycles are counted. Those that are not are too slow for a check."""
 CYCLES = 750
 """That are fed."""
-CALLS = ("zygos.h", "snapshot.h", "wire.h", "text.h", "refine.h")
+CALLS = ("zygos.h", "wire.h", "refine.h")
 """Headers of what onboard software calls."""
 STRUCTS = ("zygos_t", "zygos_background_t", "zygos_in_place_t", "zygos_estimate_t", "zygos_refine_t")
 

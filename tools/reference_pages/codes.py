@@ -10,7 +10,7 @@ HEADERS = Path(__file__).resolve().parents[2] / "include" / "zygos"
 ENUM = re.compile(r"((?:^///[^\n]*\n)*)^(?:#define \w+ \d+\n)?enum (zygos_\w+) \{(.*?)\};", re.M | re.S)
 MEMBER = re.compile(r"(ZYGOS_\w+)(?:\s*=\s*[^,\n/]+?)?\s*,?\s*((?:///<[^\n]*\n?\s*)*)(?=ZYGOS_|\s*$)")
 TEXTS = {"zygos_error": "zygos_text", "zygos_effect_kind": "zygos_effect_text"}
-"""Functions of text.h whose names are not that of the enumeration with _text behind it."""
+"""Functions of the library whose names are not that of the enumeration with _text behind it."""
 
 
 def _words(comment: str) -> str:

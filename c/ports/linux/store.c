@@ -13,8 +13,6 @@
 
 #include "lock.h"
 #include "log.h"
-#include "zygos/snapshot.h"
-#include "zygos/text.h"
 
 #define AS_PREVIOUS ".previous"
 #define AS_PARTIAL ".partial"

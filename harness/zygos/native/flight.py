@@ -67,7 +67,7 @@ ffi, lib = _load()
 
 
 def text_of(function: Any, value: int) -> str:
-    """What one of the library's text functions (``zygos/text.h``) says of a value."""
+    """What one of the library's text functions (``zygos/zygos.h``) says of a value."""
     return str(ffi.string(function(value)).decode())
 
 

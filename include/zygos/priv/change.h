@@ -22,7 +22,6 @@
 #ifndef ZYGOS_CHANGE_H
 #define ZYGOS_CHANGE_H
 
-#include "../estimate.h"
 #include "../types.h"
 #include "sums.h"
 

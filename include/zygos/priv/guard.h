@@ -31,7 +31,6 @@
 #ifndef ZYGOS_GUARD_H
 #define ZYGOS_GUARD_H
 
-#include "../estimate.h"
 #include "../types.h"
 #include "accumulator.h"
 #include "jointsums.h"

@@ -11,7 +11,6 @@
 #ifndef ZYGOS_SOLVER_H
 #define ZYGOS_SOLVER_H
 
-#include "../estimate.h"
 #include "../types.h"
 #include "change.h"
 #include "sums.h"

@@ -25,7 +25,6 @@
 #ifndef ZYGOS_STORE_H
 #define ZYGOS_STORE_H
 
-#include "../estimate.h"
 #include "../types.h"
 #include "gram.h"
 
