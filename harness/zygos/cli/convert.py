@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from zygos.cli.options import Json, cuts, of_arm, of_map, of_runs
 from zygos.cli.shared import not_whole, read_run, warn
 from zygos.errors import Undecided, ZygosError
 from zygos.files.inputs import local
-from zygos.files.output import check_outputs, counted, is_dash, number, say, table, write_json
+from zygos.files.output import check_outputs, counted, is_dash, note, number, say, table, write_json, write_text
 from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
 from zygos.native.flight import MAX_REFUSED_SHARE, Flight, encode, receivable
@@ -37,6 +39,7 @@ from zygos.telemetry.convert import (
     with_time,
     write_run,
 )
+from zygos.telemetry.drives import Drives, read_drives
 from zygos.telemetry.grid import (
     Noise,
     needed_rate,
@@ -48,24 +51,31 @@ from zygos.telemetry.ros import check_mcap, is_mcap, read_mcap
 
 
 def convert_run(
-    source: Path, dbc: Sequence[Path], map_file: Path | None, arm_file: Path | None, out: Path, json: str | None
+    source: Path,
+    dbc: Sequence[Path],
+    map_file: Path | None,
+    arm_file: Path | None,
+    out: Path,
+    json: str | None,
+    drives: Drives | None = None,
 ) -> None:
     """Convert foreign telemetry; see `zygos convert --help`."""
     kind: Input = "mcap" if is_mcap(source) else "table" if is_table(source) else "log"
-    _check_names(source, dbc, out, kind, mapped=map_file is not None)
+    _check_names(source, dbc, out, kind, mapped=map_file is not None, drives=drives)
     chosen = arm_file or (map_file or source).parent / "arm.toml"
     if not local(chosen).is_file():
         near = "the recording" if map_file is None else "the map"
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml next to {near}")
     beside = out.parent / "arm.toml"
-    check_outputs([out, json], [source, *dbc, *([map_file] if map_file else []), chosen, beside])
+    check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
     arm = load_arm(chosen)
     # raises an error for an arm that the library refuses, before anything is read; on the ground any window will do
     Flight(receivable(arm) if arm.grounded else arm)
-    run = None if map_file else read_run(source, arm)
+    run = None if map_file or drives else read_run(source, arm)
     with progress() as bar:
-        mapping = run_map(run) if run else load_map(map_file or source, arm, kind)
-        recording = run_recording(run, mapping) if run else _read(source, kind, dbc, mapping, bar)
+        mapping = run_map(run) if run else _map(map_file or source, drives, arm, kind)
+        dictionary = drives.dictionary if drives else partial(Dictionary.load, dbc)
+        recording = run_recording(run, mapping) if run else _read(source, kind, dictionary, mapping, bar)
         samples = {source: len(one.value) for source, one in recording.sources.items()}
         mended = mended_recording(recording, mapping, arm)
         recording = mended.recording
@@ -125,8 +135,13 @@ def convert_run(
     not_whole(recording.missing)
 
 
-def _read(source: Path, kind: Input, dbc: Sequence[Path], mapping: Map, bar: Progress) -> Recording:
-    """Read the signals of a map, and say how far the reading is."""
+def _map(file: Path, drives: Drives | None, arm: Arm, kind: Input) -> Map:
+    """The map of the drives, or of a file."""
+    return drives.mapping(arm) if drives else load_map(file, arm, kind)
+
+
+def _read(source: Path, kind: Input, dictionary: Callable[[], Dictionary], mapping: Map, bar: Progress) -> Recording:
+    """Read the signals of a map, and say how far the reading is. dictionary: reads the messages of a CAN log."""
     task = bar.add_task(f"reading {source.name}", total=None)
 
     def reading(count: int) -> None:
@@ -138,13 +153,20 @@ def _read(source: Path, kind: Input, dbc: Sequence[Path], mapping: Map, bar: Pro
     elif kind == "mcap":
         recording = read_mcap(source, mapping, reading)
     else:
-        recording = read_can(source, Dictionary.load(dbc), mapping, reading)
+        recording = read_can(source, dictionary(), mapping, reading)
     bar.update(task, description="converting")
     warn((*recording.remarks, *recording.missing))
     return recording
 
 
-def _check_names(source: Path, dbc: Sequence[Path], out: Path, kind: Input, *, mapped: bool) -> None:
+def _check_names(
+    source: Path, dbc: Sequence[Path], out: Path, kind: Input, *, mapped: bool, drives: Drives | None
+) -> None:
+    if drives and (dbc or mapped):
+        given = "--dbc" if dbc else "--map"
+        raise ZygosError(f"--drive {drives.name} has its DBC and its map; remedy: leave out {given}")
+    if drives and kind != "log":
+        raise ZygosError(f"{source}: --drive is for a CAN log; remedy: give one, or a map with --map")
     if kind != "log":
         check = check_mcap if kind == "mcap" else check_table
         check(source)
@@ -274,6 +296,23 @@ def command(
             callback=of_arm,
         ),
     ] = None,
+    drive: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[:MOTOR,...]",
+            help="Drives whose frames zygos knows, in place of --dbc and --map: damiao, cubemars, robstride, odrive or "
+            "moteus, with the name of the motor, or of the motor of each node.",
+        ),
+    ] = None,
+    nodes: Annotated[
+        str | None, typer.Option(metavar="1-7", help="With --drive: the node of each joint, from the base on.")
+    ] = None,
+    urdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--urdf", metavar="ARM.urdf", help="With --drive: the arm, which stands on the ground, in place of --arm."
+        ),
+    ] = None,
     json: Json = None,
 ) -> None:
     """Convert telemetry of another system to a run.
@@ -292,5 +331,42 @@ def command(
     Exit code 3 when the motion is faster than the recording; RUN is written nevertheless.
 
     Example: zygos convert MY.blf --dbc MY.dbc --map map.toml -o out/run.blf
+
+    Example: zygos convert run.log --drive damiao --nodes 1-7 --urdf arm.urdf -o run.npz
     """
-    convert_run(source, dbc or [], map_file, arm, out, json)
+    drives = _drives(drive, nodes, arm, urdf)
+    with TemporaryDirectory() as folder:
+        if drives and urdf:
+            arm = Path(folder, "arm.toml")
+            write_text(arm, _arm_of(urdf, drives))
+        if drives:
+            note("\n".join(drives.described()))
+        convert_run(source, dbc or [], map_file, arm, out, json, drives)
+
+
+def _drives(drive: str | None, nodes: str | None, arm: Path | None, urdf: Path | None) -> Drives | None:
+    """The drives that the options name."""
+    if drive is None:
+        if nodes or urdf:
+            given = "--nodes" if nodes else "--urdf"
+            raise ZygosError(f"{given} belongs to --drive; remedy: name the drives, or leave it out")
+        return None
+    if nodes is None:
+        raise ZygosError(f"--drive {drive} needs the nodes; remedy: add for instance --nodes 1-7")
+    if arm and urdf:
+        raise ZygosError("--arm and --urdf both describe the arm; remedy: give one of them")
+    return read_drives(drive, nodes)
+
+
+def _arm_of(urdf: Path, drives: Drives) -> str:
+    """The text of the arm file of a URDF with these drives."""
+    from zygos.urdf.answers import Answers  # noqa: PLC0415  (other conversions need no extra)
+    from zygos.urdf.chain import read_chain  # noqa: PLC0415
+    from zygos.urdf.importing import arm_text  # noqa: PLC0415
+
+    chain, _ = read_chain(urdf, None, None, weighed=False)
+    for line in chain.notes:
+        note(f"note: {line}")
+    names = [hinge.name for hinge in chain.hinges]
+    answers = Answers(None, names, driven=False, known=drives.answers(names))
+    return arm_text(answers.arm(chain), f"From {urdf.name} and the profile {drives.name} by `zygos convert`.")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -206,6 +206,11 @@ def load_map(path: str | Path, arm: Arm, kind: Input) -> Map:
     Errors: ZygosError naming file, key and remedy for anything unknown, missing or contradictory.
     """
     return read_map(Table.load(path, "a map"), arm, kind)
+
+
+def map_of(content: Mapping[str, Any], name: str, arm: Arm, kind: Input) -> Map:
+    """The map with this content, which is called `name` in messages. Errors: as `load_map`."""
+    return read_map(Table(content, Path(name)), arm, kind)
 
 
 def read_map(top: Table, arm: Arm, kind: Input) -> Map:
@@ -620,6 +625,8 @@ class Dictionary:
     """Faults of messages whose signals cannot be read, by the name of the message: each begins with its file."""
     doubtful: dict[str, str]
     """Faults of messages of which single signals can be read, likewise."""
+    ignored_bits: int = 0
+    """Bits of identifiers that do not say which message it is."""
 
     @classmethod
     def load(cls, files: Sequence[Path]) -> Dictionary:
@@ -750,12 +757,13 @@ def read_can(
     Errors: ZygosError for a signal that is missing in the DBC or in the log, or a log that cannot be read.
     """
     clock = mapping.clock
+    identifying = ~dictionary.ignored_bits
     wanted: dict[tuple[int, bool], tuple[Message, set[str]]] = {}
     modulo = clock.modulo
 
     def want(source: str, where: str) -> Any:
         message, signal = dictionary.find(source, where)
-        key = (message.frame_id, message.is_extended_frame)
+        key = (message.frame_id & identifying, message.is_extended_frame)
         other = wanted.setdefault(key, (message, set()))
         if other[0] is not message:
             raise ZygosError(
@@ -781,7 +789,7 @@ def read_can(
     remarks: list[str] = []
     begin: float | None = None
     for message_in in bus.read_messages(path, missing, progress, remarks):
-        key = (message_in.arbitration_id, message_in.is_extended_id)
+        key = (message_in.arbitration_id & identifying, message_in.is_extended_id)
         if key not in wanted or message_in.is_error_frame or message_in.is_remote_frame:
             continue
         message, names = wanted[key]

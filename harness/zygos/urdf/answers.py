@@ -117,13 +117,18 @@ QUESTIONS = (_BASE, *_BUS, *_GYRO, _NODE, *_MOTOR, *_FLEXIBLE)
 class Answers:
     """The answers so far; `ask` adds to them."""
 
-    def __init__(self, path: Path | None, joints: Sequence[str], *, driven: bool = True) -> None:
-        """Read `path` (None: no answers yet) for an arm with these joints. driven: whether rotors and springs, which
-        only model.toml has, must be answered. Errors: ZygosError for unknown keys and joints."""
+    def __init__(
+        self, path: Path | None, joints: Sequence[str], *, driven: bool = True, known: dict[str, Any] | None = None
+    ) -> None:
+        """Read `path`, or take `known` with the same keys (neither: no answers yet), for an arm with these joints.
+
+        driven: whether rotors and springs, which only model.toml has, must be answered. Errors:
+        ZygosError for unknown keys and joints.
+        """
         self.driven = driven
         self.file = path or Path("answers")
         self.joints = tuple(joints)
-        top = Table.load(path) if path else Table({}, self.file)
+        top = Table.load(path) if path else Table(known or {}, self.file)
         self.default = _known(
             top.table("default", "What holds for every joint that does not say otherwise.", optional=True), JOINT
         )
