@@ -248,3 +248,64 @@ def test_the_cause_of_much_noise_is_named(
     wanted = {"stamps": "time stamps jitter by", "vibration": "most at 120 Hz", "noise": "declare the noise"}
     assert wanted[cause] in said[0]
     assert "record it faster" not in said[0]
+
+
+def sines() -> dict[str, NDArray[Any]]:
+    """A table of 20 s at 500 Hz, whose angles have the steps of the encoders of the arm file."""
+    t = np.arange(10_000) / 500.0
+    step = 3.8147554741741054e-4
+    columns = {"t": t}
+    for i in (1, 2):
+        columns[f"q{i}"] = step * np.round(np.sin(0.7 * i * t + i) / step)
+        columns[f"tau{i}"] = np.sin(0.7 * i * t)
+    return columns
+
+
+@pytest.mark.parametrize(("factor", "key"), [(180.0 / np.pi, 'unit = "deg"'), (6.0, 'side = "rotor"')])
+def test_noise_that_a_unit_or_the_gear_explains_is_that_of_the_map(
+    folder: Path, factor: float, key: str, tmp_path: Path
+) -> None:
+    columns = sines()
+    write_columns(tmp_path / "x.npz", columns | {"q1": factor * columns["q1"]})
+    code, report = convert(folder, tmp_path / "x.npz", CASES / "m.toml")
+    (said,) = (line for line in report["warnings"] if line.startswith("shoulder.motor: conversion makes"))
+    assert code in (0, 3) and f"lacks {key}; remedy" in said
+    assert not any(line.startswith("elbow.motor: conversion") for line in report["warnings"])
+
+
+def test_counts_are_no_radians(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = sines()
+    write_columns(tmp_path / "x.npz", columns | {"q2": np.round(columns["q2"] * 65536 / (2 * np.pi))})
+    assert convert(folder, tmp_path / "x.npz", CASES / "m.toml")[0] == 2
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert "joint[1].motor: q2 reads up to 1.043e+04 rad" in said and 'unit = "counts"' in said
+    write_columns(tmp_path / "y.npz", columns | {"q2": 1e3 * columns["q2"]})
+    assert convert(folder, tmp_path / "y.npz", CASES / "m.toml")[0] in (0, 3)
+
+
+def test_rows_that_are_there_twice_are_taken_once(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns = sines()
+    twice = {name: np.repeat(values, 2) for name, values in columns.items()}
+    write_columns(tmp_path / "once.npz", columns)
+    write_columns(tmp_path / "twice.npz", twice)
+    assert convert(folder, tmp_path / "once.npz", CASES / "m.toml")[0] == 0
+    code, report = convert(folder, tmp_path / "twice.npz", CASES / "m.toml")
+    assert code == 0 and report["left_out"]["repeated stamps"] == 40_000
+    got, expected = cycles(folder, tmp_path / "twice.npz"), cycles(folder, tmp_path / "once.npz")
+    assert np.array_equal(got.theta, expected.theta) and np.array_equal(got.tau, expected.tau)
+    other = twice | {"q1": twice["q1"] + 0.01 * (np.arange(20_000) % 2)}
+    write_columns(tmp_path / "other.npz", other)
+    assert convert(folder, tmp_path / "other.npz", CASES / "m.toml")[0] == 2
+    capsys.readouterr()
+
+
+@pytest.mark.slow
+def test_milliseconds_are_no_slow_recording(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = sines()
+    write_columns(tmp_path / "ms.npz", columns | {"t": 1e3 * columns["t"]})
+    assert convert(folder, tmp_path / "ms.npz", CASES / "m.toml")[0] == 3
+    assert 'remedy: correct unit = "s" of the time in the map' in capsys.readouterr().err.replace("\n", " ")
+    edited(CASES / "m.toml", tmp_path / "ms.toml", ('unit = "s"', 'unit = "ms"'))
+    assert convert(folder, tmp_path / "ms.npz", tmp_path / "ms.toml")[0] == 0

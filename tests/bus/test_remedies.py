@@ -195,7 +195,7 @@ CASES = [
     Case("turned_joint", both(inverted("q", 1), inverted("theta", 1), inverted("tau", 1)),
          "inverted, as all signals of the joint", mapped=True),
 ]  # fmt: skip
-ELSEWHERE = {"period", "noisy_torque", "skew", "swapped_joints", "smoother"}
+ELSEWHERE = {"period", "behind_gear", "noisy_torque", "skew", "swapped_joints", "smoother"}
 """Those that a table of the example cannot show, and that have a test of their own below."""
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from audit_support import Fault, both, inverted, scaled, swapped
 from panda_support import panda, recorded
 
 from zygos.arm import TorqueUnit
 from zygos.audit import Audit, audit, remedies
+from zygos.audit.rigid import Reading, RigidLaw
+from zygos.audit.units import behind_gear
 from zygos.runs.cycles import Cycles
 
 SIGMA = 0.01
@@ -149,3 +152,28 @@ def test_torques_of_another_run_are_not_explained() -> None:
     found = audited(replace(cycles, tau=other.tau))
     assert found.findings == ()
     assert {s.name for s in found.signals if not s.decided} >= {T[0], T[3], T[4], T[5], T[6]}
+
+
+def test_noise_that_is_larger_by_the_gear_ratio_may_be_that_of_a_torque_behind_it() -> None:
+    arm = replace(panda(1), joints=(replace(panda(1).joints[0], torque_sigma=2e-4),))
+    assert 'at = "output" of torque in the map' in remedies.noisy_torque(arm, 0, 0.019).text
+    assert "behind the gear" not in remedies.noisy_torque(arm, 0, 0.01).text
+    sensors = replace(arm, torque_at="joint")
+    assert "behind the gear" not in remedies.noisy_torque(sensors, 0, 0.019).text
+
+
+def test_a_torque_with_a_sensor_behind_the_gear_has_no_ratio_to_correct() -> None:
+    arm = panda(1)
+    assert behind_gear(arm, 0, 0.0102) and not behind_gear(arm, 0, 0.02) and not behind_gear(arm, 0, 100.0)
+    assert not behind_gear(replace(arm, torque_at="joint"), 0, 0.01)
+
+
+@pytest.mark.parametrize("count", range(36, 130, 7))
+def test_a_run_of_which_few_rows_are_left_has_no_score(count: int) -> None:
+    """Another unit of the angles may leave only a few valid instants, all of them in one half of the run."""
+    cycles = recorded(panda(2), 5, duration_s=1.0).cycles
+    few = Cycles(*(getattr(cycles, name)[:count] for name in Cycles.__dataclass_fields__))
+    law = RigidLaw(panda(2), few, set())
+    score = law.score(Reading.declared(2))
+    assert np.isfinite(score.total) or np.isnan(score.share).all()
+    assert not law.enough

@@ -512,7 +512,7 @@ STAMPS: list[tuple[Callable[[Floats], Floats], str]] = [
     (lambda t: np.where(t < 0.1, t - 1e5, t), r"spans .* remove samples whose times are wrong, at the beginning"),
     (
         lambda t: np.round(t, 1),
-        r"99 of 200 time stamps of \S+ are repeated; remedy: use a time source with finer steps",
+        r"99 of 200 time stamps of \S+ are repeated, with other values; remedy: use a time source with finer steps",
     ),
     (lambda t: np.where(t > 5.0, t + 1.7e9, t), "spans .* times the time of its samples"),
     (lambda t: t[:5], "has 5 samples"),

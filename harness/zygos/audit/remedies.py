@@ -129,6 +129,11 @@ def noisy_torque(arm: Arm, i: int, noise: float) -> Remedy:
             f'about {1e3 * sigma / noise:.1g} Nm/A if torque_sigma is right; of mNm, unit = "mNm"; only if it is Nm, '
             f"{text}"
         )
+    ratio = float(arm.joints[i].gear_ratio)
+    off = limits.SCALE_OFF.value
+    if arm.torque_at == "rotor" and sigma > 0.0 and off**2 < ratio and ratio / off < noise / sigma < ratio * off:
+        side = _in_map(arm, "tau", i, "at", "output")
+        text = f"if the torque is measured behind the gear, {_of_map(side)}; else {text}"
     return Remedy(text, (setting,))
 
 
@@ -186,6 +191,14 @@ def gear_ratio(arm: Arm, i: int, factor: float) -> Remedy:
     return Remedy(
         f"{setting} of the joint, or the unit or the torque constant where the torque is measured", (setting,)
     )
+
+
+def behind_gear(arm: Arm, i: int) -> Remedy:
+    """Of a torque that is larger than one before the gear by the gear ratio. Between two joints, the law does not say
+    which of the two torques is the wrong one."""
+    setting = _in_map(arm, "tau", i, "at", "output")
+    other = '; if the other joint has the wrong side instead, at = "rotor" of its torque' if arm.n == 2 else ""
+    return Remedy(f"measured behind the gear: {_of_map(setting)}{other}", (setting,))
 
 
 def wraps(arm: Arm, kind: Kind, i: int, modulo: float) -> Remedy:

@@ -282,7 +282,7 @@ class RigidLaw:
             )
             for side in (0, 1)
         )
-        return one, other
+        return (one, other) if one.rows and other.rows else ()
 
     def _products(self, angle: tuple[float, ...]) -> tuple[_Sums, ...]:
         """The sums of each block, with the angles of joints multiplied; none for a run that is too short."""

@@ -106,8 +106,17 @@ def find_torque_scale(case: Case, i: int, factor: float, evidence: str) -> None:
     if unit is not None:
         find_scale(case, "tau", i, unit, evidence)
         return
-    remedy = remedies.gear_ratio(case.arm, i, factor)
+    behind = behind_gear(case.arm, i, factor)
+    remedy = remedies.behind_gear(case.arm, i) if behind else remedies.gear_ratio(case.arm, i, factor)
     case.find(case.name("tau", i), f"scaled by {1.0 / factor:.4g}", evidence, remedy)
+
+
+def behind_gear(arm: Arm, i: int, factor: float) -> bool:
+    """Whether a torque that is read as one before the gear, and has to be multiplied by this factor, is measured behind
+    it."""
+    ratio = float(arm.joints[i].gear_ratio)
+    known = [Scale(1.0 / ratio)] if arm.torque_at == "rotor" and ratio > limits.SCALE_OFF.value**2 else []
+    return bool(known) and nearest(known, factor, limits.SCALE_OFF.value) is not None
 
 
 def stretches(cycles: Cycles) -> list[tuple[int, int]]:

@@ -24,6 +24,7 @@ from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
 from zygos.native.flight import MAX_REFUSED_SHARE, Flight, encode, receivable
 from zygos.telemetry.convert import (
+    SPARSE,
     averages_torques,
     check_noise,
     cycles_of,
@@ -131,6 +132,8 @@ def convert_run(
         write_json(json, content)
     recorded = 1.0 / max(track.interval_s for track in found) if len(cycles) > 1 else rate
     faster = "shorten period_s of the arm file" if recorded > 1.2 * rate else "record faster"
+    if recorded * SPARSE * arm.period_s < 1.0 and mapping.clock.kind in ("column", "signal"):
+        faster = f'correct unit = "{mapping.clock.unit}" of the time in the map if it is in another one; else {faster}'
     _judge(content["bandwidth"], faster, mapping, out, arm)
     not_whole(recording.missing)
 

@@ -23,6 +23,7 @@ from zygos.files.output import cannot_be_written, counted, write_text
 from zygos.files.tables import is_table
 from zygos.native.flight import MAX_REFUSED_SHARE, WINDOW_MAX, Flight, fits_window, longer_period
 from zygos.runs.cycles import INVALID, Cycles
+from zygos.runs.samples import LARGEST_ANGLE_RAD
 from zygos.runs.tables import write_cycles
 from zygos.simulation.sensors import encoder_angle
 from zygos.telemetry.grid import (
@@ -39,7 +40,7 @@ from zygos.telemetry.grid import (
     tracks,
     tracks_of,
 )
-from zygos.telemetry.map import SI_UNIT, Channel, Map, Recording
+from zygos.telemetry.map import SI_UNIT, UNITS, Channel, Map, Recording
 from zygos.telemetry.mend import Mended, mended
 
 _FTIME_CYCLES = 50
@@ -92,9 +93,15 @@ def noise_of(found: Sequence[Track], mapping: Map, arm: Arm) -> list[Noise]:
 
 
 def check_noise(arm: Arm, found: Sequence[Track], noise: Sequence[Noise]) -> None:
-    """Refuse samples between which the angle is uncertain by more than a radian."""
+    """Refuse readings that are no angles, and samples between which the angle is uncertain by more than a radian."""
     for track, change in zip(found, noise, strict=True):
         channel = track.channel
+        largest = float(np.nanmax(np.abs(track.x), initial=0.0))
+        if channel.quantity == "angle" and largest > LARGEST_ANGLE_RAD:
+            raise ZygosError(
+                f"{channel.where}: {channel.source} reads up to {largest:.4g} rad, which no angle does; remedy: "
+                'unit = "counts" and counts_per_turn, or the unit that it has'
+            )
         if channel.quantity == "angle" and math.sqrt(12.0) * declared_sigma(arm, channel) > 1.0:
             raise ZygosError(
                 f"{channel.where}: between the samples of {channel.source} the angle is uncertain by "
@@ -108,11 +115,24 @@ def noise_warnings(arm: Arm, found: Sequence[Track], noise: Sequence[Noise]) -> 
     for track, change in zip(found, noise, strict=True):
         sigma = change.kept * declared_sigma(arm, track.channel)
         if sigma > 0.0 and change.added > limits.NOISE_ADDED.value * sigma:
+            unit = _unit_of_noise(track.channel, math.hypot(change.added, sigma) / sigma, arm)
             warnings.append(
                 f"{track.channel.label}: conversion makes the noise {change.added / sigma:.3g} times as large as that "
-                f"of the arm file: {_cause(track, change, arm)}"
+                f"of the arm file: {unit or _cause(track, change, arm)}"
             )
     return warnings
+
+
+def _unit_of_noise(channel: Channel, ratio: float, arm: Arm) -> str:
+    """What a noise says that is larger than the declared one by the factor of another unit; empty where it is none."""
+    if channel.quantity != "angle" or channel.unit != "rad":
+        return ""
+    gear = float(arm.joints[channel.index].gear_ratio)
+    known = {f'unit = "{unit}"': 1.0 / factor for unit, factor in UNITS["angle"].items() if math.isfinite(factor)}
+    for key, factor in (known | {'side = "rotor"': gear}).items():
+        if factor > limits.NOISE_ADDED.value and abs(ratio / factor - 1.0) <= limits.STEP_OFF.value:
+            return f"as of an encoder whose map lacks {key}; remedy: write that if it is so, else declare the noise"
+    return ""
 
 
 def _cause(track: Track, change: Noise, arm: Arm) -> str:

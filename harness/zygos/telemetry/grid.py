@@ -286,10 +286,11 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
         _forwards(channel.source, channel.where, t, np.diff(t) < 0)
         last = np.append(np.diff(t) > 0, len(t) > 0)[: len(t)]
         repeated = int(len(t) - last.sum())
-        if repeated > MANY_REPEATED * len(t):
+        differing = int(np.count_nonzero((np.diff(t) == 0.0) & (np.diff(x) != 0.0)))  # the others are copies
+        if differing > MANY_REPEATED * len(t):
             raise ZygosError(
-                f"{channel.where}: {repeated} of {len(t)} time stamps of {channel.source} are repeated; remedy: use a "
-                "time source with finer steps, or sync"
+                f"{channel.where}: {differing} of {len(t)} time stamps of {channel.source} are repeated, "
+                "with other values; remedy: use a time source with finer steps, or sync"
             )
         if last.sum() < 8:
             raise ZygosError(
