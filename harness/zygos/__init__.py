@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from zygos.files.examples import example, write_example
     from zygos.gap.explanation import Explanation
     from zygos.gap.predict import Prediction, predict
-    from zygos.gap.runs import explain_runs as explain
     from zygos.ground.estimate import GroundEstimate, estimate_ground
     from zygos.ground.payload import Payload, payload
     from zygos.ground.score import Score
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
     from zygos.runs.cycles import Cycles
     from zygos.simulation.run import Simulation, simulate, simulate_with_truth
     from zygos.simulation.scenario import Scenario, load_scenario
+    from zygos.simulators.explain import explain as explain
 
     __version__: str
 
@@ -72,7 +72,7 @@ _HOMES = {
     "estimate": "estimation.estimate",
     "estimate_ground": "ground.estimate",
     "example": "files.examples",
-    "explain": "gap.runs:explain_runs",
+    "explain": "simulators.explain:explain",
     "load_arm": "arm",
     "load_model": "model.model",
     "load_run": "can.run",

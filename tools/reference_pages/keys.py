@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 from reference_pages.markdown import page, table
 from zygos.arm import load_arm, read_arm
 from zygos.effects import CATALOGUE, Kind
+from zygos.effects.kind import Held
 from zygos.files import toml
 from zygos.files.toml import Entry, Table
 from zygos.model.model import read_model
@@ -136,6 +137,10 @@ def _acts_at(kind: Kind) -> str:
     return place + ("; x, y, z in space" if kind.axes else "") + world
 
 
+def _held(held: Held) -> str:
+    return f"{held.how}: {held.by}" if held.by else held.how
+
+
 EFFECTS = "\n\n".join(
     (
         "## The kinds of effects",
@@ -161,6 +166,15 @@ EFFECTS = "\n\n".join(
                 )
                 for kind in CATALOGUE.values()
             ],
+        ),
+        "### In the files of other simulators",
+        "What `zygos explain` writes of an effect into the MJCF or URDF of an arm with rigid joints "
+        "([simulators](../simulators.md)). *Exact* and *approximate* are in the file. A *snippet* is Python for the "
+        "loop that controls the simulation, written beside the file. *No*: it is no part of a robot, but of its "
+        "sensors, of its motion, or of an instant.",
+        table(
+            ("Kind", "MJCF", "URDF"),
+            [(f"`{kind.key}`", _held(kind.mjcf), _held(kind.urdf)) for kind in CATALOGUE.values()],
         ),
     )
 )

@@ -17,7 +17,7 @@ from zygos.cli.options import ArmFile, Details, Json, cuts
 from zygos.cli.shared import Wanted, arm_beside, check_model_name, deliver, not_whole, warn
 from zygos.effects import estimated, laws
 from zygos.errors import Undecided, ZygosError
-from zygos.files.output import check_outputs, named, number
+from zygos.files.output import check_outputs, named, note, number
 from zygos.files.progress import progress
 from zygos.gap import sections
 from zygos.gap.content import as_json, planned_json
@@ -35,6 +35,10 @@ from zygos.plan.separating import Separating
 from zygos.report.answer import Answer
 from zygos.report.provenance import Provenance, provenance
 from zygos.simulation.scenario import save_scenario
+from zygos.simulators.explain import InSimulator, explained_in
+from zygos.simulators.file import check_out, is_simulator_file, read_robot
+from zygos.simulators.robot import Robot
+from zygos.simulators.runs import read_plain
 
 
 @dataclass(frozen=True)
@@ -42,14 +46,14 @@ class Inputs:
     """The files that are read."""
 
     simulation: Path
-    arm: Path
+    arm: Path | None
     measured: tuple[Path, ...]
     validate: tuple[Path, ...]
 
     @property
     def files(self) -> list[tuple[str, Path]]:
         """Their roles and paths."""
-        listed = [("simulation", self.simulation), ("arm", self.arm)]
+        listed = [("simulation", self.simulation), *([] if self.arm is None else [("arm", self.arm)])]
         listed += [("measured", run) for run in self.measured]
         return listed + [("validate", run) for run in self.validate]
 
@@ -93,27 +97,34 @@ def _explain_run(
     without: Sequence[str],
     planned: Planned | None,
 ) -> None:
-    inputs = Inputs(simulation, find_arm(measured[0], arm_file), tuple(measured), tuple(validate))
+    if is_simulator_file(simulation) and not (arm_file or measured[0].parent / "arm.toml").is_file():
+        _without_arm_file(simulation, measured, validate, arm_file, out, wanted, command, without, planned)
+        return
+    chosen = find_arm(measured[0], arm_file)
+    inputs = Inputs(simulation, chosen, tuple(measured), tuple(validate))
     runs = [run for role, run in inputs.files if role in {"measured", "validate"}]
-    check_model_name(out)
+    check_new_name(out, simulation)
     if planned is not None:
         check_model_name(planned.file)
     check_outputs(
         [out, wanted.report, wanted.json, planned.file if planned is not None else None],
         [path for _, path in inputs.files],
     )
-    arm = load_arm(inputs.arm)
+    arm = load_arm(chosen)
     for run in runs:
-        arm_beside(run, arm_file, inputs.arm, arm)
-    model = load_model(simulation) if simulation.suffix == ".toml" else None
-    if model is None and planned is not None:
+        arm_beside(run, arm_file, chosen, arm)
+    robot = read_robot(simulation, arm) if is_simulator_file(simulation) else None
+    model = load_model(simulation) if simulation.suffix == ".toml" else None if robot is None else robot.model(arm)
+    if robot is not None:
+        _check_robot(robot, out, planned)
+    elif model is None and planned is not None:
         raise ZygosError(
             f"--next-motion: a scenario needs the file of a model, and {simulation} is a run; remedy: "
             f"`zygos estimate {simulation} -o MODEL.toml`, and MODEL.toml as --simulation"
         )
     limits = limits_of(arm, *(planned.limits if planned is not None else (None, None, None)))
     if not arm.grounded:
-        check_arm_of_gap(arm, str(inputs.arm))
+        check_arm_of_gap(arm, str(chosen))
     if model is not None:
         model.base_parameters(arm)
     with progress() as bar:
@@ -131,19 +142,76 @@ def _explain_run(
             without=without,
             progress=lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
         )
+        own = None
+        if robot is not None and isinstance(found, GroundExplanation):
+            bar.update(task, description=f"{simulation.name} with what was found")
+            own = explained_in(robot, found, out.parent)
         motion = None
         if planned is not None and undecided(found.findings):
             bar.update(task, description="the next motion")
             motion = _next(found, planned, limits, inputs)
     said = [] if planned is None else [_planned(found, planned, motion)]
-    finish(found, logs, inputs, partial(provenance, command, inputs.files), out, wanted, said, motion)
+    finish(found, logs, inputs, partial(provenance, command, inputs.files), out, wanted, said, motion, own)
     not_whole(*(log.damage for log in logs))
+
+
+def check_new_name(out: Path, simulation: Path) -> None:
+    """Refuse a name of what is to be written that is no model's, and, where the simulation is a file of a simulator, no
+    such file's either."""
+    if not (is_simulator_file(simulation) and is_simulator_file(out)):
+        check_model_name(out)
+
+
+def _check_robot(robot: Robot, out: Path, planned: Planned | None) -> None:
+    if is_simulator_file(out):
+        check_out(robot, out)
+    if planned is not None:
+        raise ZygosError(
+            f"--next-motion: a scenario needs the file of a model, and {robot.path} is one of a simulator; remedy: "
+            "leave it out, or write the model first (-o MODEL.toml)"
+        )
+
+
+def _without_arm_file(
+    simulation: Path,
+    measured: Sequence[Path],
+    validate: Sequence[Path],
+    arm_file: Path | None,
+    out: Path,
+    wanted: Wanted,
+    command: Sequence[str],
+    without: Sequence[str],
+    planned: Planned | None,
+) -> None:
+    """The runs are plain tables, and the arm is that of the file of the simulator."""
+    if arm_file is not None:
+        find_arm(measured[0], arm_file)
+    inputs = Inputs(simulation, None, tuple(measured), tuple(validate))
+    check_new_name(out, simulation)
+    check_outputs([out, wanted.report, wanted.json], [path for _, path in inputs.files])
+    robot, arm, runs = read_plain([*measured, *validate], simulation)
+    _check_robot(robot, out, planned)
+    with progress() as bar:
+        task = bar.add_task("reading", total=1.0)
+        found = explain_runs(
+            robot.model(arm),
+            runs[: len(measured)],
+            validate=runs[len(measured) :],
+            without=without,
+            progress=lambda share, what: bar.update(task, description=what, completed=share),
+        )
+        assert isinstance(found, GroundExplanation), "files of simulators are of arms on the ground"
+        bar.update(task, description=f"{simulation.name} with what was found")
+        own = explained_in(robot, found, out.parent)
+    text = f"no arm file: the arm is that of {simulation.name}, with torques at the joints that are sampled"
+    finish(found, runs, inputs, partial(provenance, command, inputs.files), out, wanted, [text], None, own)
 
 
 def _next(
     found: Explanation | GroundExplanation, planned: Planned, limits: Limits, inputs: Inputs
 ) -> Separating | None:
     """Plan the next motion and write its scenario; None, with a warning, where no motion tells the effects apart."""
+    assert inputs.arm is not None, "a motion is planned for a model of zygos, whose arm has a file"
     try:
         motion = plan_next(found, limits, inputs.arm, inputs.simulation, name=planned.file.stem)
     except Undecided as error:
@@ -230,8 +298,10 @@ def finish(
     wanted: Wanted,
     said: Sequence[str],
     motion: Separating | None,
+    own: InSimulator | None = None,
 ) -> None:
-    """Deliver the answer, and raise Undecided if no model is written. said: what became of the next motion."""
+    """Deliver the answer, and raise Undecided if no model is written. said: what became of the next motion. own: the
+    corrected file of the simulator."""
     flight = flown(found, logs[: len(inputs.measured)])
     remarks = [*beside(found, flight), *said]
     damage = [text for log in logs for text in log.damage]
@@ -239,14 +309,26 @@ def finish(
 
     def answer(draw: bool) -> Answer:
         if isinstance(found, GroundExplanation):
-            return ground_sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
+            whole = ground_sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
+            return whole if own is None else own.beside(whole)
         return sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
 
     def content() -> dict[str, Any]:
-        own = ground_json(found, source()) if isinstance(found, GroundExplanation) else as_json(found, source())
-        return {**own, "next_motion": planned_json(motion), "flight": flight, "damage": damage or None}
+        known = ground_json(found, source()) if isinstance(found, GroundExplanation) else as_json(found, source())
+        if isinstance(found, GroundExplanation):
+            known["simulator"] = None if own is None else own.as_json()
+        return {**known, "next_motion": planned_json(motion), "flight": flight, "damage": damage or None}
 
-    deliver(wanted, answer, content, source, out, save=None if model is None else lambda: save_model(model, out))
+    def save() -> None:
+        assert model is not None
+        if own is None or not is_simulator_file(out):
+            save_model(model, out)
+            return
+        own.check(out)
+        for path in own.write(out)[1:]:
+            note(f"{path}: written as well")
+
+    deliver(wanted, answer, content, source, out, save=None if model is None else save)
     if model is None:
         raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
 
@@ -258,9 +340,9 @@ def command(
         Path,
         typer.Option(
             "--simulation",
-            metavar="CAD.toml|RUN",
-            help="The model that the simulation uses, or a run that another simulator made from the torques of a "
-            "measured run.",
+            metavar="CAD.toml|ROBOT.xml|ROBOT.urdf|RUN",
+            help="The model that the simulation uses; the MJCF or URDF of an arm on the ground with rigid joints; or a "
+            "run that another simulator made from the torques of a measured run.",
         ),
     ],
     measured: Annotated[
@@ -272,7 +354,15 @@ def command(
             "cut into thirds, of which the last is kept apart.",
         ),
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="NEW.toml", help="The model to write.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="NEW.toml|NEW.xml|NEW.urdf",
+            help="The model to write, or the corrected file of the simulator.",
+        ),
+    ],
     validate: Annotated[
         list[Path] | None,
         typer.Option(
@@ -331,6 +421,10 @@ def command(
     A model is written only if an arm can have it and it predicts the runs of --validate no worse than the model as
     delivered, the refit, and the estimate of `zygos estimate`; otherwise this estimate is the answer. Exit code 3 when
     NEW.toml is not written, because nothing is decided.
+
+    With the MJCF or URDF of a simulator as --simulation, -o NEW.xml or NEW.urdf writes that file with the inertials,
+    armatures, friction and damping that were found; every other byte stays as it is. The gap is measured in MuJoCo as
+    well. Without an arm file, runs are tables of t, q1 .. qN and tau1 .. tauN at the joints (docs/simulators.md).
 
     Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
     """

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
-from zygos.effects.kind import SLOWEST_RATE, Kind, Place, smooth_sign
+from zygos.effects.kind import NOT_HELD, SLOWEST_RATE, Held, Kind, Place, smooth_sign
 from zygos.effects.memory import Memory
 from zygos.effects.motion import Motion
 from zygos.errors import ZygosError
@@ -289,6 +289,14 @@ _ENCODER_ERRORS: tuple[tuple[str, str, str, tuple[str, ...], tuple[_Reads, _Read
 )
 _SIDES: tuple[_Side, ...] = ("link", "motor")
 
+_FRICTIONLOSS = Held(
+    "approximate", "`frictionloss` of the joint; soft constraints round the sign off at rates below 2 mrad/s"
+)
+_FRICTION = Held("approximate", "`friction` of `<dynamics>`, as exact as its simulator")
+_REFLECTED = Held("exact", "`armature` and inertials of link and carrier together (docs/simulators.md)")
+_DAMPING = Held("exact", "`damping` of the joint")
+_DYNAMICS = Held("exact", "`damping` of `<dynamics>`")
+
 ENTRIES = (
     Kind(
         "motor_coulomb",
@@ -300,6 +308,8 @@ ENTRIES = (
         searched_on_ground=True,
         flies=True,
         formula="sat(θ̇ / 1e-3 rad/s)",
+        mjcf=_FRICTIONLOSS,
+        urdf=_FRICTION,
     ),
     Kind(
         "motor_viscous",
@@ -313,6 +323,8 @@ ENTRIES = (
         searched_on_ground=True,
         flies=True,
         formula="θ̇",
+        mjcf=_DAMPING,
+        urdf=_DYNAMICS,
     ),
     Kind(
         "torque_offset",
@@ -373,6 +385,8 @@ ENTRIES = (
         twins=("motor_coulomb",),
         flies=True,
         formula="sat(q̇ / 1e-3 rad/s)",
+        mjcf=_FRICTIONLOSS,
+        urdf=_FRICTION,
     ),
     Kind(
         "cubic_stiffness",
@@ -403,6 +417,8 @@ ENTRIES = (
         positive=False,
         flies=True,
         formula="share of Im that takes part in the rotation of the carrying body",
+        mjcf=_REFLECTED,
+        urdf=NOT_HELD,
     ),
     Kind(
         "angular_momentum",
@@ -413,6 +429,8 @@ ENTRIES = (
         world="plane",
         flies=True,
         formula="the value of H",
+        mjcf=NOT_HELD,
+        urdf=NOT_HELD,
     ),
     Kind(
         "motor_stribeck",
@@ -440,6 +458,8 @@ ENTRIES = (
         searched=False,
         searched_last=True,
         formula="q̇",
+        mjcf=_DAMPING,
+        urdf=_DYNAMICS,
     ),
     Kind(
         "link_viscous_asymmetry",
@@ -677,6 +697,8 @@ ENTRIES = (
         shape_title="instant since the start of the run",
         shape_unit="s",
         formula="a base parameter is larger by c from the instant on",
+        mjcf=NOT_HELD,
+        urdf=NOT_HELD,
     ),
     *(
         Kind(
@@ -691,6 +713,8 @@ ENTRIES = (
             sensor=side,
             reads=reads[number],
             formula=formula[number],
+            mjcf=NOT_HELD,
+            urdf=NOT_HELD,
         )
         for number, side in enumerate(_SIDES)
         for key, title, unit, twins, reads, formula in _ENCODER_ERRORS
@@ -707,6 +731,8 @@ ENTRIES = (
         sensor="gyro",
         reads=_read_biased,
         formula="reads ω + c",
+        mjcf=NOT_HELD,
+        urdf=NOT_HELD,
     ),
     Kind(
         "gyro_scale",
@@ -719,6 +745,8 @@ ENTRIES = (
         sensor="gyro",
         reads=_read_scaled,
         formula="reads (1 + c) ω",
+        mjcf=NOT_HELD,
+        urdf=NOT_HELD,
     ),
     Kind(
         "gyro_misalignment",
@@ -733,6 +761,8 @@ ENTRIES = (
         sensor="gyro",
         reads=_read_turned,
         formula="is turned about a base axis by c",
+        mjcf=NOT_HELD,
+        urdf=NOT_HELD,
     ),
 )
 """Units are those of the coefficient: torques at a motor in Nm before the gear, rates after it.

@@ -64,6 +64,25 @@ R = TypeVar("R", bound=Sensed)
 
 
 @dataclass(frozen=True)
+class Held:
+    """How the file of another simulator can hold an effect."""
+
+    how: Literal["exact", "approximate", "snippet", "no"]
+    """snippet: not in the file, but by lines in the loop that controls the simulation. no: it is no part of a robot."""
+    by: str = ""
+    """With what, in Markdown."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the file itself has it."""
+        return self.how in ("exact", "approximate")
+
+
+BY_LOOP = Held("snippet")
+NOT_HELD = Held("no")
+
+
+@dataclass(frozen=True)
 class Kind:
     """One entry of the catalogue. Errors: ZygosError for an unknown site, and for an entry without a law."""
 
@@ -117,6 +136,10 @@ class Kind:
     the gyro of a planar arm, (..., n, 3) of that of a spatial one. number: of the joint or of the component, from 0."""
     formula: str = ""
     """The law in `docs/gap.md`."""
+    mjcf: Held = BY_LOOP
+    """How an MJCF file can hold it."""
+    urdf: Held = BY_LOOP
+    """How a URDF can hold it."""
 
     def __post_init__(self) -> None:
         """Refuse what is no entry."""

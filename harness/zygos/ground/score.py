@@ -188,10 +188,14 @@ def beside(found: Score, other: Score) -> Score:
 
 def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Sequence[Effect], motion: Motion) -> Score:
     """The score of parameters in the order of the arm, and of effects, on torque rows."""
-    arm = run.arm
-    predicted = predict_torques(arm, rows, values, effects)
-    kept, h = rows.kept, rows.period_s
-    sharp = predict_torques(arm, rows, values, effects, filtered=False)
+    predicted, sharp = (predict_torques(run.arm, rows, values, effects, filtered) for filtered in (True, False))
+    return scored_torques(run, name, rows, predicted, sharp, motion)
+
+
+def scored_torques(run: Run, name: str, rows: TorqueRows, predicted: Floats, sharp: Floats, motion: Motion) -> Score:
+    """The score of torques (m, N) that were predicted on torque rows, Nm after the gear, whose friction has passed the
+    filter of the rows. sharp: (m, N) the same with friction as it is."""
+    arm, kept, h = run.arm, rows.kept, rows.period_s
     error = rows.tau - predicted
     resting = at_rest(rows.state.qd, rows.segment, h)
     moving = ~resting & kept[:, None]

@@ -346,7 +346,7 @@ class _Explainer:
                 tuple(replace(e, value=max(float(x), 0.0)) for e, x in zip(self.usual, plain.value[p:], strict=True)),
             ),
         )
-        gap = GroundGap(tuple(predict(run, *baselines) for run in self.validate))
+        gap = GroundGap(tuple(predict(run, *baselines) for run in self.validate), baselines)
         return gap.closed_by(stage_of(table.layout, "closed", found.after))
 
     def _judge(

@@ -27,10 +27,12 @@ class GroundGap:
     """Error of the energy predicted over one second, as share of the work, over all untouched runs."""
 
     predictions: tuple[Prediction, ...]
+    stages: tuple[Stage, ...]
+    """The models that predict: as delivered, refit, plain estimate, and the one that was found."""
 
     def closed_by(self, stage: Stage) -> GroundGap:
         """With another model as the one that was found."""
-        return GroundGap(tuple(one.closed_by(stage) for one in self.predictions))
+        return GroundGap(tuple(one.closed_by(stage) for one in self.predictions), (*self.stages[:3], stage))
 
     def comparisons(self) -> tuple[Check, ...]:
         """The model found beside the best baseline, on each run."""

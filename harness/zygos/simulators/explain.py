@@ -1,0 +1,297 @@
+"""From an explanation to the file of the simulator: corrected, measured in that simulator, and written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from zygos import limits
+from zygos.arm import Arm
+from zygos.can.run import Run
+from zygos.errors import Undecided, ZygosError
+from zygos.files.output import number, write_text
+from zygos.gap.explanation import Explanation
+from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.predictions import Prediction, Stage, run_name
+from zygos.gap.runs import explain_runs
+from zygos.ground.motion import Motion, TorqueRows, cutoff_hz, torque_rows
+from zygos.model.model import Model
+from zygos.report.answer import Answer, Items, Section, Text, section, table
+from zygos.simulators.correct import Corrected, corrected
+from zygos.simulators.file import check_out, contents, read_robot, simulator, write
+from zygos.simulators.held import snippet
+from zygos.simulators.measure import Simulated, simulated
+from zygos.simulators.robot import Robot
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A model of the answer, as the file holds it, in the simulator."""
+
+    name: str
+    runs: tuple[Simulated, ...]
+    """One for each untouched run."""
+
+
+@dataclass(frozen=True, eq=False)
+class InSimulator:
+    """A file of a simulator with what was learned."""
+
+    robot: Robot
+    """As delivered."""
+    arm: Arm
+    corrected: Corrected
+    measured: tuple[Measured, ...]
+    """As delivered, refit and corrected; empty where no run was kept apart."""
+    runs: tuple[str, ...]
+    """Names of the untouched runs."""
+
+    @property
+    def worst(self) -> float:
+        """The largest error of the corrected file over that of zygos' own equations; 0 without an untouched run."""
+        return max((one.ratio for one in self.measured[-1].runs), default=0.0) if self.measured else 0.0
+
+    @property
+    def good(self) -> bool:
+        """Whether the simulator predicts the untouched runs as zygos does with what the file holds."""
+        return self.worst <= limits.NOT_WORSE.value
+
+    def check(self, out: Path) -> None:
+        """Refuse, with Undecided, to write a file that does not do what was found."""
+        if not self.good:
+            raise Undecided(
+                f"{out} not written: in MuJoCo it leaves {number(self.worst, 3)} times the error of zygos' own "
+                f"equations, and may leave {limits.NOT_WORSE.value:g} times; remedy: a model of zygos as output "
+                "(-o MODEL.toml), and a smaller time constant of friction (solreffriction) in the simulator"
+            )
+
+    def contents(self, out: Path) -> dict[Path, bytes]:
+        """What is to be written, by path."""
+        return contents(self.robot, self.corrected.robot, out)
+
+    def write(self, out: Path) -> tuple[Path, ...]:
+        """Write the corrected file, those that it includes and that change, and the snippet; their paths."""
+        files = self.contents(out)
+        write(files)
+        if not self.corrected.lost:
+            return tuple(files)
+        beside = out.with_name(f"{out.stem}_torques.py")
+        write_text(beside, snippet(self.arm, self.corrected.lost))
+        return (*files, beside)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the file cannot hold, and what was not used of it, in sentences."""
+        out = list(self.robot.notes)
+        for one in self.corrected.lost:
+            out.append(f"{one.kind.title} ({one.joint}) has no place in {self.robot.format}: it is in the snippet")
+        rotors = [p.name for p in self.arm.parameters if p.symbol == "Im"]
+        if self.robot.format == "URDF" and rotors:
+            out.append(f"a URDF holds no rotor ({', '.join(rotors)}): the links take its place as far as they can")
+        if self.arm.torque_at == "joint" and self.robot.format == "MJCF":
+            out.append("the torques are measured behind the gears, so that the armatures of the file stay as they are")
+        if self.corrected.left > limits.MATERIAL_DIFFERENCE.value:
+            out.append(
+                "possible bodies come as near as "
+                f"{number(100.0 * self.corrected.left, 2)} % of the torques to the parameters that were found"
+            )
+        return tuple(out)
+
+    @property
+    def sentence(self) -> str:
+        """The errors in MuJoCo in a line; empty without an untouched run."""
+        each = [
+            f"{run} "
+            + " → ".join(number(100.0 * one.runs[k].score.arm_energy_share, 3) for one in self.measured)
+            + f" (zygos {number(100.0 * self.measured[-1].runs[k].own.arm_energy_share, 3)})"
+            for k, run in enumerate(self.runs)
+        ]
+        return (
+            f"in MuJoCo, work predicted wrongly, %, as delivered → refit → corrected: {', '.join(each)}" if each else ""
+        )
+
+    def section(self) -> Section | None:
+        """The section of the answer."""
+        rows = [
+            (
+                one.name,
+                run,
+                number(100.0 * each.score.arm_energy_share, 3),
+                number(100.0 * each.own.arm_energy_share, 3),
+                number(100.0 * each.forward, 3),
+            )
+            for k, run in enumerate(self.runs)
+            for one, each in ((one, one.runs[k]) for one in self.measured)
+        ]
+        return section(
+            "simulator",
+            "In MuJoCo",
+            Text(
+                f"{self.robot.path.name} on the untouched runs: the share of the work of the motors in one second that "
+                "is predicted wrongly, from the torques of `mj_inverse` on the same filtered motion, beside that of "
+                "zygos' own equations with what the file holds. Forward: error of the angles half a second after the "
+                "measured torques began to act, with the integrator and the time step of the file, as share of the way "
+                "of the joints."
+            ),
+            table("model | run::text | MuJoCo, %::main | zygos, % | forward, %", rows),
+            Items(self.notes) if self.notes else None,
+        )
+
+    def beside(self, answer: Answer) -> Answer:
+        """An answer with the section about the simulator, behind that of the gap."""
+        own = self.section()
+        if own is None:
+            return answer
+        keys = [one.key for one in answer.sections]
+        at = keys.index("gap") + 1 if "gap" in keys else len(keys)
+        brief = (*answer.brief, *([self.sentence] if self.sentence else []))
+        return replace(answer, sections=(*answer.sections[:at], own, *answer.sections[at:]), brief=brief)
+
+    def as_json(self) -> dict[str, Any]:
+        """The entry of the JSON."""
+        return {
+            "file": str(self.robot.path),
+            "format": self.robot.format,
+            "good": self.good,
+            "runs": [
+                {
+                    "run": run,
+                    **{
+                        one.name.replace(" ", "_"): {
+                            "energy": one.runs[k].score.arm_energy_share,
+                            "own": one.runs[k].own.arm_energy_share,
+                            "forward": one.runs[k].forward,
+                        }
+                        for one in self.measured
+                    },
+                }
+                for k, run in enumerate(self.runs)
+            ],
+            "lost": [one.column(self.arm) for one in self.corrected.lost],
+            "notes": list(self.notes),
+        }
+
+
+def rows_of(runs: Sequence[Run]) -> list[TorqueRows]:
+    """Torque rows of runs, as predictions have them. Errors: ZygosError for a run that is too short."""
+    out = []
+    for run in runs:
+        motion = Motion.of(run)
+        out.append(torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), limits.HIGHEST_CUTOFF_HZ.value)))
+    return out
+
+
+def in_simulator(
+    robot: Robot,
+    arm: Arm,
+    model: Model,
+    runs: Sequence[Run],
+    predictions: Sequence[Prediction] = (),
+    refit: Stage | None = None,
+    folder: Path | None = None,
+) -> InSimulator:
+    """The file with the values of a model, measured in MuJoCo on untouched runs.
+
+    runs: from which the model was learned. predictions: of the untouched runs. folder: where the corrected file will
+    be. Errors: ZygosError where MuJoCo is not installed or rejects the file.
+    """
+    rows = [*rows_of(runs), *(one.rows for one in predictions)]
+    found = corrected(robot, arm, Stage.of("corrected", model, arm), rows)
+    measured = []
+    if predictions:
+        delivered = robot.model(arm)
+        stages: list[tuple[Robot | None, Stage]] = [(None, Stage.of("as delivered", delivered, arm))]
+        if refit is not None:
+            by_refit = corrected(robot, arm, refit, rows)
+            stages.append((by_refit.robot, by_refit.stage("refit")))
+        stages.append((found.robot, found.stage("corrected")))
+        for changed, stage in stages:
+            own = simulator(robot, arm, changed, folder)
+            measured.append(Measured(stage.name, tuple(simulated(own, one, stage) for one in predictions)))
+    return InSimulator(robot, arm, found, tuple(measured), tuple(run_name(one.run) for one in predictions))
+
+
+def explained_in(robot: Robot, found: GroundExplanation, folder: Path | None = None) -> InSimulator | None:
+    """The file with the model of an explanation; None where there is none. Errors: as `in_simulator`."""
+    if found.model is None:
+        return None
+    gap = found.gap
+    return in_simulator(
+        robot,
+        found.arm,
+        found.model,
+        found.measured,
+        () if gap is None else gap.predictions,
+        None if gap is None else gap.stages[1],
+        folder,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class FileExplanation:
+    """An explanation whose simulation is a file of a simulator."""
+
+    found: GroundExplanation
+    """The explanation itself: answer, findings, model, gap."""
+    robot: Robot
+
+    @property
+    def answer(self) -> str:
+        """The kind of verdict."""
+        return self.found.answer
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return self.found.sentence
+
+    @cached_property
+    def simulator(self) -> InSimulator:
+        """The corrected file, measured. Errors: Undecided where no model is to be written."""
+        own = explained_in(self.robot, self.found)
+        if own is None:
+            raise Undecided(f"{self.found.answer}: {self.found.sentence}; remedy: {self.found.remedy}")
+        return own
+
+    def to_mjcf(self) -> str:
+        """The text of the corrected MJCF. Errors: Undecided where no model is to be written; ZygosError for a URDF, and
+        where an included file changes, which `save` writes as well."""
+        if self.robot.format != "MJCF":
+            raise ZygosError(f"{self.robot.path}: is a URDF; remedy: save('corrected.urdf')")
+        out = self.robot.path.with_name("corrected.xml")
+        self.simulator.check(out)
+        files = self.simulator.contents(out)
+        if len(files) > 1:
+            raise ZygosError(f"{self.robot.path}: files that it includes change as well; remedy: save('corrected.xml')")
+        return files[out].decode()
+
+    def save(self, out: str | Path) -> tuple[Path, ...]:
+        """Write the corrected file, and what goes with it; their paths. Errors: as `to_mjcf`, and ZygosError for a name
+        or a folder in which it would not be found."""
+        place = Path(out)
+        check_out(self.robot, place)
+        self.simulator.check(place)
+        return self.simulator.write(place)
+
+
+def explain(
+    simulation: Model | Run | str | Path,
+    measured: Sequence[Run],
+    *,
+    validate: Run | Sequence[Run] | None = None,
+    without: Sequence[str] = (),
+    progress: Any = None,
+) -> Explanation | GroundExplanation | FileExplanation:
+    """As `zygos.gap.runs.explain_runs`; a path of an MJCF or URDF is read, and the answer can write it corrected."""
+    if isinstance(simulation, Model | Run):
+        return explain_runs(simulation, measured, validate=validate, without=without, progress=progress)
+    if not measured:
+        raise ZygosError("no measured run; remedy: one run, or better two to learn from and a third to validate")
+    arm = measured[0].arm
+    robot = read_robot(Path(simulation), arm)
+    found = explain_runs(robot.model(arm), measured, validate=validate, without=without, progress=progress)
+    assert isinstance(found, GroundExplanation), "files of simulators are of arms on the ground"
+    return FileExplanation(found, robot)

@@ -1,0 +1,127 @@
+"""A file of a simulator with what was learned, written so that its own folder still holds all that it refers to."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from zygos.arm import Arm
+from zygos.errors import ZygosError
+from zygos.files.output import write_bytes
+from zygos.simulators.measure import Simulator
+from zygos.simulators.mjcf import compiled, corrected_mjcf, load_mujoco, read_mjcf
+from zygos.simulators.robot import Robot, check_gears
+from zygos.simulators.xml import read_document
+
+SUFFIXES = (".xml", ".mjcf", ".urdf")
+
+
+def is_simulator_file(path: Path) -> bool:
+    """Whether a file is one of a simulator, by its suffix."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def is_urdf(path: Path) -> bool:
+    """Whether a file of a simulator is a URDF: by its root, because either may be called .xml."""
+    return read_document(path).root.tag == "robot"
+
+
+def read_robot(path: Path, arm: Arm | None, joints: int | None = None) -> Robot:
+    """The arm of a file. arm: whose joints it has; None: the first `joints` hinges of its only chain.
+
+    Errors: ZygosError as `read_mjcf` and `read_urdf`, and where the file is not of that arm.
+    """
+    names = joints if arm is None else [joint.name for joint in arm.joints]
+    if is_urdf(path):
+        from zygos.simulators.urdf import ON_EARTH, read_urdf  # noqa: PLC0415  (an extra)
+
+        robot = read_urdf(path, names, ON_EARTH if arm is None else arm.gravity)
+    else:
+        robot = read_mjcf(path, names)
+    if arm is None:
+        return robot
+    if not arm.grounded:
+        raise ZygosError(
+            f"{path}: arm {arm.name} floats or has flexible joints, of which no file of a simulator says gears, "
+            "springs and sensors; remedy: a model.toml as --simulation (`zygos import` makes one from a URDF)"
+        )
+    check_gears(arm, arm.name)
+    return robot.ordered(arm)
+
+
+def check_out(robot: Robot, out: Path) -> None:
+    """Refuse, with ZygosError, a place from which a corrected file would not find what it refers to, and a name of
+    another kind of file."""
+    suffix = out.suffix.lower()
+    if suffix not in SUFFIXES or (suffix == ".urdf") != (robot.format == "URDF"):
+        kind = ".urdf" if robot.format == "URDF" else ".xml"
+        raise ZygosError(
+            f"{out}: not a name for the corrected {robot.format}; remedy: give it the suffix {kind}, or .toml for a "
+            "model of zygos"
+        )
+    if robot.format == "MJCF" and out.parent.resolve() != robot.path.parent.resolve():
+        for one in read_document(robot.path, includes=True).root.walk():
+            if "file" in one.attributes or "content_type" in one.attributes:
+                raise ZygosError(
+                    f"{out}: would not find {one.attributes.get('file', 'the files')}, which {robot.path.name} refers "
+                    f"to; remedy: write it into the same folder: -o {robot.path.parent / out.name}"
+                )
+        if read_document(robot.path, includes=True).included:
+            raise ZygosError(
+                f"{out}: would not find the files that {robot.path.name} includes; remedy: write it into the same "
+                f"folder: -o {robot.path.parent / out.name}"
+            )
+
+
+def contents(old: Robot, new: Robot, out: Path) -> dict[Path, bytes]:
+    """What is to be written for a robot with other numbers: `out`, and the included files that change beside it, whose
+    names begin with that of `out`."""
+    if old.format == "URDF":
+        from zygos.simulators.urdf import corrected_urdf  # noqa: PLC0415  (an extra)
+
+        return {out: corrected_urdf(old, new)[old.path]}
+
+    def rename(file: Path) -> str:
+        return (file.parent / f"{out.stem}-{file.name}").relative_to(old.path.parent).as_posix()
+
+    found = corrected_mjcf(old, new, rename)
+    return {out if file == old.path else old.path.parent / rename(file): text for file, text in found.items()}
+
+
+def write(files: dict[Path, bytes]) -> None:
+    """Write files, each completely or not at all, the last one being that which refers to the others."""
+    for path in sorted(files, key=lambda path: path == next(iter(files))):
+        write_bytes(path, files[path])
+
+
+def simulator(robot: Robot, arm: Arm, changed: Robot | None = None, folder: Path | None = None) -> Simulator:
+    """The file in MuJoCo. changed: with other numbers, as it would be written into a folder.
+
+    Errors: ZygosError where MuJoCo is not installed or rejects it.
+    """
+    mujoco = load_mujoco()
+    if robot.format == "URDF":
+        from zygos.simulators.urdf import corrected_urdf, without_geometry  # noqa: PLC0415  (an extra)
+
+        content = robot.path.read_bytes() if changed is None else corrected_urdf(robot, changed)[robot.path]
+        try:
+            tree = mujoco.MjModel.from_xml_string(without_geometry(content).decode())
+        except ValueError as error:
+            raise ZygosError(
+                f"{robot.path}: MuJoCo does not read it ({' '.join(str(error).split())}); remedy: correct the file"
+            ) from None
+        tree.opt.gravity[:] = robot.gravity
+        names = [tree.joint(j).name for j in range(tree.njnt)]
+        return Simulator(tree, robot, arm, [names.index(hinge.written) for hinge in robot.hinges])
+    if changed is None:
+        tree = compiled(robot.path)
+    else:
+        place = folder or robot.path.parent
+        files = contents(robot, changed, place / f".{os.getpid()}.partial.xml")
+        try:
+            write(files)
+            tree = compiled(next(path for path in files if path.parent == place and path.name.startswith(".")))
+        finally:
+            for path in files:
+                path.unlink(missing_ok=True)
+    return Simulator(tree, robot, arm, [hinge.number for hinge in robot.hinges])
