@@ -19,10 +19,12 @@ from zygos.errors import ZygosError
 from zygos.files.tables import write_columns
 from zygos.gap.ground.explain import explain_ground
 from zygos.simulators.explain import FileExplanation
-from zygos.simulators.file import contents, read_robot, write
+from zygos.simulators.file import contents, for_output, read_robot, write
 from zygos.simulators.robot import Lump, Robot
+from zygos.simulators.urdf import without_geometry
 
 EXAMPLE = ROOT / "examples" / "pendulum" / "pendulum.xml"
+PENDULUM_URDF = EXAMPLE.with_suffix(".urdf")
 URDF = ROOT / "examples" / "openarm" / "openarm.urdf"
 
 INCLUDED = """<mujocoinclude>
@@ -110,6 +112,137 @@ def test_a_urdf_keeps_every_other_line(tmp_path: Path) -> None:
     assert (again.hinges[2].friction, again.hinges[2].damping) == pytest.approx((0.3, 0.07))
 
 
+GRIPPER = """
+  <link name="foot &quot;left&quot;"><collision><geometry><sphere radius="0.5"/></geometry></collision></link>
+  <joint name="stand" type="fixed"><parent link="world"/><child link="foot &quot;left&quot;"/></joint>
+  <joint name="mount" type="fixed">
+    <origin xyz="0 0.1 0.2" rpy="0.3 -0.2 0.5"/><parent link="foot &quot;left&quot;"/><child link="link0"/>
+  </joint>
+  <link name="hand">
+    <inertial>
+      <origin xyz="0.01 0 0.02" rpy="0.4 0.1 -0.7"/><mass value="0.3"/>
+      <inertia ixx="0.0011" ixy="0.0002" ixz="-0.0001" iyy="0.0012" iyz="0.0003" izz="0.0009"/>
+    </inertial>
+    <visual><origin rpy="0 0 1"/><geometry><box size="0.1 0.2 0.3"/></geometry>
+      <material name="red"><color rgba="1 0 0 1"/></material></visual>
+    <visual><geometry><mesh filename="package://openarm/hand.dae"/></geometry></visual>
+    <collision><geometry><mesh filename="hand.obj" scale="2 2 2"/></geometry></collision>
+  </link>
+  <joint name="wrist" type="fixed">
+    <origin xyz="0 0 0.1" rpy="0.1 0.2 0.3"/><parent link="link7"/><child link="hand"/>
+  </joint>
+  <link name="a"><inertial><mass value="0.1"/>
+    <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+  <link name="b"><inertial><mass value="0.1"/>
+    <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+  <joint name="finger" type="prismatic">
+    <origin xyz="0 0.01 0.05" rpy="0 0.5 0"/><parent link="hand"/><child link="a"/><axis xyz="0 1 0"/>
+    <limit lower="0" upper="0.04" effort="20" velocity="1"/><dynamics damping="0.3" friction="0.2"/>
+  </joint>
+  <joint name="other finger" type="prismatic">
+    <origin xyz="0 -0.01 0.05"/><parent link="hand"/><child link="b"/><axis xyz="0 -1 0"/>
+    <limit lower="0" upper="0.04" effort="20" velocity="1"/><mimic joint="finger" multiplier="0.5"/>
+  </joint>
+</robot>
+"""
+OBJ = """v 0 0 0
+v 1 0 0
+v 0 1 0
+v 0 0 1
+f 1 3 2
+f 1 2 4
+f 2 3 4
+f 3 1 4
+"""
+
+
+def test_an_mjcf_is_made_of_a_urdf(tmp_path: Path) -> None:
+    """MuJoCo's own reading of the URDF is the oracle: torques of both for the same motions."""
+    path, out = tmp_path / "arm.urdf", tmp_path / "made" / "new.xml"
+    path.write_text(
+        URDF.read_text()
+        .replace("</robot>", GRIPPER)
+        .replace('velocity="16"/>', 'velocity="16"/><dynamics damping="0.4" friction="0.3"/>', 1)
+    )
+    (tmp_path / "hand.obj").write_text(OBJ)
+    out.parent.mkdir()
+    names = [f"joint{k}" for k in range(1, 8)]
+    robot = for_output(read_robot(path, None, 7), out)
+    assert any("package://openarm/hand.dae" in note for note in robot.notes)
+    assert any("no largest rate" in note and "joint7" in note for note in robot.notes)
+    write(contents(robot, robot, out))
+    made = mujoco.MjModel.from_xml_path(str(out))
+    plain = without_geometry(path.read_bytes()).decode()
+    oracle = mujoco.MjModel.from_xml_string(plain.replace("</robot>", '<link name="world"/></robot>'))
+    names += ["finger", "other finger"]
+    draw = np.random.default_rng(0)
+    motion = draw.normal(size=(20, 3, 9)) * [[0.5], [1.0], [3.0]]
+    motion[:, 0, 7:] = 0.02
+    torques = []
+    for tree in (oracle, made):
+        data = mujoco.MjData(tree)
+        tree.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        tree.opt.gravity[:] = (0.0, 0.0, -9.81)
+        dof = [int(tree.jnt_dofadr[tree.joint(name).id]) for name in names]
+        each = []
+        for q, qd, qdd in motion:
+            data.qpos[dof], data.qvel[dof], data.qacc[dof] = q, qd, qdd
+            mujoco.mj_inverse(tree, data)
+            each.append(data.qfrc_inverse[dof])
+        torques.append(each)
+        assert tree.dof_frictionloss[dof] == pytest.approx([0.3, *[0.0] * 6, 0.2, 0.0])
+        assert tree.dof_damping[dof] == pytest.approx([0.4, *[0.0] * 6, 0.3, 0.0])
+        assert tree.jnt_range[dof[0]] == pytest.approx([-3.2, 3.2])
+    assert np.array(torques[1]) == pytest.approx(np.array(torques[0]), rel=1e-7, abs=1e-8)
+    assert made.neq == 1 and made.eq_data[0, :2] == pytest.approx([0.0, 0.5])
+    assert made.nu == 8 and made.actuator_ctrlrange[0] == pytest.approx([-40.0, 40.0])
+    box, mesh = (int(np.flatnonzero(made.geom_type == kind)[0]) for kind in (6, 7))
+    assert made.geom_size[box] == pytest.approx([0.05, 0.1, 0.15]) and made.geom_rgba[box] == pytest.approx(
+        [1, 0, 0, 1]
+    )
+    assert (made.geom_contype[box], made.geom_contype[mesh]) == (0, 1)
+    assert made.nexclude == 0, "link1, which the first joint carries, has no geometry to collide"
+
+
+def test_an_mjcf_of_a_urdf_holds_rotors(tmp_path: Path) -> None:
+    out = tmp_path / "new.xml"
+    robot = for_output(read_robot(URDF, None), out)
+    write(contents(robot, heavier(robot, 2), out))
+    tree = mujoco.MjModel.from_xml_path(str(out))
+    assert (tree.dof_frictionloss[2], tree.dof_damping[2], tree.dof_armature[2]) == pytest.approx((0.3, 0.07, 0.02))
+    assert tree.body("link3").mass[0] == pytest.approx(1.25 * 1.073863338)
+    assert not tree.dof_armature[[0, 1, 3, 4, 5, 6]].any()
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [(8, "the chain branches: joints finger, other finger; remedy: name the joints"), (7, ""), (6, "")],
+)
+def test_a_chain_ends_where_the_runs_do(tmp_path: Path, count: int, said: str) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF.read_text().replace("</robot>", GRIPPER))
+    if said:
+        with pytest.raises(ZygosError, match=said):
+            read_robot(path, None, count)
+    else:
+        assert [hinge.name for hinge in read_robot(path, None, count).hinges] == [
+            f"joint{k}" for k in range(1, count + 1)
+        ]
+    with pytest.raises(ZygosError, match="has 7 joints in a chain from the base, the runs have 8; remedy"):
+        read_robot(URDF, None, 8)
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_urdf_of_which_no_mjcf_is_made(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "arm.urdf"
+    loose = f'<link name="l"/><joint name="j" type="{kind}"><parent link="link0"/><child link="l"/></joint></robot>'
+    path.write_text(URDF.read_text().replace("</robot>", loose.replace("link0", "link7")))
+    robot = read_robot(path, None, 7)
+    assert for_output(robot, tmp_path / "new.urdf") is robot
+    with pytest.raises(ZygosError, match=f"joint j is {kind}, for which no MJCF is written; remedy"):
+        for_output(robot, tmp_path / "new.xml")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -190,6 +323,14 @@ def test_the_measured_pendulum_is_corrected(tmp_path: Path) -> None:
     old, new = EXAMPLE.read_bytes().splitlines(), out.read_bytes().splitlines()
     changed = [(a, b) for a, b in zip(old, new, strict=True) if a != b]
     assert len(changed) == 4 and all(b"<inertial" in a or b"<joint" in a for a, _ in changed)
+    of_urdf = FileExplanation(answer.found, read_robot(PENDULUM_URDF, arm))
+    for name in ("corrected.urdf", "from_urdf.xml"):
+        own = of_urdf.written_as(tmp_path / name)
+        assert own.good and all(one.ratio < 1.1 for one in own.measured[-1].runs), name
+        assert all(
+            after.score.arm_energy_share < (0.4 if name.endswith(".xml") else 0.7) * before.score.arm_energy_share
+            for before, after in zip(own.measured[0].runs, own.measured[-1].runs, strict=True)
+        ), name
 
 
 def flown(path: Path, seed: int) -> dict[str, np.ndarray]:
@@ -219,9 +360,9 @@ def test_friction_of_another_engine_is_found_from_plain_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The plant is MuJoCo with friction and damping that the file as delivered lacks."""
-    plant, cad = tmp_path / "plant.xml", tmp_path / "cad.xml"
+    plant, cad = tmp_path / "plant.xml", tmp_path / "cad.urdf"
     text = EXAMPLE.read_text()
-    cad.write_text(text)
+    cad.write_bytes(PENDULUM_URDF.read_bytes())
     plant.write_text(text.replace('frictionloss="0" damping="0"', 'frictionloss="0.1" damping="0.03"'))
     for seed in range(3):
         write_columns(tmp_path / f"{seed}.npz", flown(plant, seed))

@@ -36,7 +36,7 @@ from zygos.report.answer import Answer
 from zygos.report.provenance import Provenance, provenance
 from zygos.simulation.scenario import save_scenario
 from zygos.simulators.explain import InSimulator, explained_in
-from zygos.simulators.file import check_out, is_simulator_file, read_robot
+from zygos.simulators.file import for_output, is_simulator_file, read_robot
 from zygos.simulators.robot import Robot
 from zygos.simulators.runs import read_plain
 
@@ -116,7 +116,7 @@ def _explain_run(
     robot = read_robot(simulation, arm) if is_simulator_file(simulation) else None
     model = load_model(simulation) if simulation.suffix == ".toml" else None if robot is None else robot.model(arm)
     if robot is not None:
-        _check_robot(robot, out, planned)
+        robot = _for_output(robot, out, planned)
     elif model is None and planned is not None:
         raise ZygosError(
             f"--next-motion: a scenario needs the file of a model, and {simulation} is a run; remedy: "
@@ -162,14 +162,13 @@ def check_new_name(out: Path, simulation: Path) -> None:
         check_model_name(out)
 
 
-def _check_robot(robot: Robot, out: Path, planned: Planned | None) -> None:
-    if is_simulator_file(out):
-        check_out(robot, out)
+def _for_output(robot: Robot, out: Path, planned: Planned | None) -> Robot:
     if planned is not None:
         raise ZygosError(
             f"--next-motion: a scenario needs the file of a model, and {robot.path} is one of a simulator; remedy: "
             "leave it out, or write the model first (-o MODEL.toml)"
         )
+    return for_output(robot, out) if is_simulator_file(out) else robot
 
 
 def _without_arm_file(
@@ -190,7 +189,7 @@ def _without_arm_file(
     check_new_name(out, simulation)
     check_outputs([out, wanted.report, wanted.json], [path for _, path in inputs.files])
     robot, arm, runs = read_plain([*measured, *validate], simulation)
-    _check_robot(robot, out, planned)
+    robot = _for_output(robot, out, planned)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
         found = explain_runs(
@@ -423,8 +422,9 @@ def command(
     NEW.toml is not written, because nothing is decided.
 
     With the MJCF or URDF of a simulator as --simulation, -o NEW.xml or NEW.urdf writes that file with the inertials,
-    armatures, friction and damping that were found; every other byte stays as it is. The gap is measured in MuJoCo as
-    well. Without an arm file, runs are tables of t, q1 .. qN and tau1 .. tauN at the joints (docs/simulators.md).
+    armatures, friction and damping that were found; every other byte stays as it is. NEW.xml from a URDF is a new MJCF.
+    The gap is measured in MuJoCo as well. Without an arm file, runs are tables of t, q1 .. qN and tau1 .. tauN at the
+    joints (docs/simulators.md).
 
     Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
     """

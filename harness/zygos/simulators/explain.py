@@ -21,7 +21,7 @@ from zygos.ground.motion import Motion, TorqueRows, cutoff_hz, torque_rows
 from zygos.model.model import Model
 from zygos.report.answer import Answer, Items, Section, Text, section, table
 from zygos.simulators.correct import Corrected, corrected
-from zygos.simulators.file import check_out, contents, read_robot, simulator, write
+from zygos.simulators.file import contents, for_output, read_robot, simulator, write
 from zygos.simulators.held import snippet
 from zygos.simulators.measure import Simulated, simulated
 from zygos.simulators.robot import Robot
@@ -251,19 +251,26 @@ class FileExplanation:
     @cached_property
     def simulator(self) -> InSimulator:
         """The corrected file, measured. Errors: Undecided where no model is to be written."""
-        own = explained_in(self.robot, self.found)
+        return self._measured(self.robot)
+
+    def _measured(self, robot: Robot) -> InSimulator:
+        own = explained_in(robot, self.found)
         if own is None:
             raise Undecided(f"{self.found.answer}: {self.found.sentence}; remedy: {self.found.remedy}")
         return own
 
+    def written_as(self, out: Path) -> InSimulator:
+        """The corrected file in the format of a name, measured. Errors: as `save`."""
+        robot = for_output(self.robot, out)
+        own = self._measured(robot) if robot.translated else self.simulator
+        own.check(out)
+        return own
+
     def to_mjcf(self) -> str:
-        """The text of the corrected MJCF. Errors: Undecided where no model is to be written; ZygosError for a URDF, and
-        where an included file changes, which `save` writes as well."""
-        if self.robot.format != "MJCF":
-            raise ZygosError(f"{self.robot.path}: is a URDF; remedy: save('corrected.urdf')")
+        """The text of the corrected MJCF, beside the file that was read; also of a URDF. Errors: Undecided where no
+        model is to be written; ZygosError where an included file changes, which `save` writes as well."""
         out = self.robot.path.with_name("corrected.xml")
-        self.simulator.check(out)
-        files = self.simulator.contents(out)
+        files = self.written_as(out).contents(out)
         if len(files) > 1:
             raise ZygosError(f"{self.robot.path}: files that it includes change as well; remedy: save('corrected.xml')")
         return files[out].decode()
@@ -272,9 +279,7 @@ class FileExplanation:
         """Write the corrected file, and what goes with it; their paths. Errors: as `to_mjcf`, and ZygosError for a name
         or a folder in which it would not be found."""
         place = Path(out)
-        check_out(self.robot, place)
-        self.simulator.check(place)
-        return self.simulator.write(place)
+        return self.written_as(place).write(place)
 
 
 def explain(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from zygos.arm import Arm
@@ -11,6 +12,7 @@ from zygos.files.output import write_bytes
 from zygos.simulators.measure import Simulator
 from zygos.simulators.mjcf import compiled, corrected_mjcf, load_mujoco, read_mjcf
 from zygos.simulators.robot import Robot, check_gears
+from zygos.simulators.translate import Translation
 from zygos.simulators.xml import read_document
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
@@ -49,16 +51,23 @@ def read_robot(path: Path, arm: Arm | None, joints: int | None = None) -> Robot:
     return robot.ordered(arm)
 
 
-def check_out(robot: Robot, out: Path) -> None:
-    """Refuse, with ZygosError, a place from which a corrected file would not find what it refers to, and a name of
-    another kind of file."""
+def for_output(robot: Robot, out: Path) -> Robot:
+    """The robot in the format that the suffix of `out` chooses: an MJCF is also made from a URDF.
+
+    Errors: ZygosError for a place from which a corrected file would not find what it refers to, and for a name of
+    another kind of file.
+    """
     suffix = out.suffix.lower()
-    if suffix not in SUFFIXES or (suffix == ".urdf") != (robot.format == "URDF"):
-        kind = ".urdf" if robot.format == "URDF" else ".xml"
+    if suffix not in SUFFIXES or (suffix == ".urdf" and robot.format == "MJCF"):
+        either = ".xml" if robot.format == "MJCF" else ".urdf, or .xml for an MJCF"
         raise ZygosError(
-            f"{out}: not a name for the corrected {robot.format}; remedy: give it the suffix {kind}, or .toml for a "
+            f"{out}: not a name for the corrected {robot.format}; remedy: give it the suffix {either}, or .toml for a "
             "model of zygos"
         )
+    if robot.format == "URDF" and suffix != ".urdf":
+        made = Translation(robot.path, robot.path.read_bytes(), robot.gravity, out.parent)
+        made.text({})
+        return replace(robot, format="MJCF", notes=(*robot.notes, *made.notes), translated=True)
     if robot.format == "MJCF" and out.parent.resolve() != robot.path.parent.resolve():
         for one in read_document(robot.path, includes=True).root.walk():
             if "file" in one.attributes or "content_type" in one.attributes:
@@ -71,15 +80,20 @@ def check_out(robot: Robot, out: Path) -> None:
                 f"{out}: would not find the files that {robot.path.name} includes; remedy: write it into the same "
                 f"folder: -o {robot.path.parent / out.name}"
             )
+    return robot
 
 
 def contents(old: Robot, new: Robot, out: Path) -> dict[Path, bytes]:
     """What is to be written for a robot with other numbers: `out`, and the included files that change beside it, whose
     names begin with that of `out`."""
-    if old.format == "URDF":
+    if old.format == "URDF" or old.translated:
         from zygos.simulators.urdf import corrected_urdf  # noqa: PLC0415  (an extra)
 
-        return {out: corrected_urdf(old, new)[old.path]}
+        content = corrected_urdf(old, new)[old.path]
+        if old.translated:
+            made = Translation(old.path, content, old.gravity, out.parent)
+            content = made.text({hinge.written: hinge.armature for hinge in new.hinges}).encode()
+        return {out: content}
 
     def rename(file: Path) -> str:
         return (file.parent / f"{out.stem}-{file.name}").relative_to(old.path.parent).as_posix()
@@ -111,17 +125,15 @@ def simulator(robot: Robot, arm: Arm, changed: Robot | None = None, folder: Path
                 f"{robot.path}: MuJoCo does not read it ({' '.join(str(error).split())}); remedy: correct the file"
             ) from None
         tree.opt.gravity[:] = robot.gravity
-        names = [tree.joint(j).name for j in range(tree.njnt)]
-        return Simulator(tree, robot, arm, [names.index(hinge.written) for hinge in robot.hinges])
-    if changed is None:
+    elif changed is None and not robot.translated:
         tree = compiled(robot.path)
     else:
         place = folder or robot.path.parent
-        files = contents(robot, changed, place / f".{os.getpid()}.partial.xml")
+        files = contents(robot, changed or robot, place / f".{os.getpid()}.partial.xml")
         try:
             write(files)
             tree = compiled(next(path for path in files if path.parent == place and path.name.startswith(".")))
         finally:
             for path in files:
                 path.unlink(missing_ok=True)
-    return Simulator(tree, robot, arm, [hinge.number for hinge in robot.hinges])
+    return Simulator(tree, robot, arm)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,8 +39,10 @@ class Simulated:
 class Simulator:
     """A compiled MJCF or URDF whose chain is an arm."""
 
-    def __init__(self, tree: Any, robot: Robot, arm: Arm, joints: Sequence[int]) -> None:
-        """joints: their numbers in the compiled file, in the order of the arm."""
+    def __init__(self, tree: Any, robot: Robot, arm: Arm) -> None:
+        """tree: compiled, with the joints of the robot by number, or by name where it was a URDF."""
+        names = [tree.joint(j).name for j in range(tree.njnt)]
+        joints = [one.number if one.number >= 0 else names.index(one.written) for one in robot.hinges]
         self._mujoco, self._tree, self._arm = load_mujoco(), tree, arm
         self._data = self._mujoco.MjData(tree)
         self._q = np.array([int(tree.jnt_qposadr[j]) for j in joints])

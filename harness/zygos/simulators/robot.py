@@ -116,6 +116,7 @@ class Robot:
 
     path: Path
     format: Format
+    """Of the file that is written."""
     hinges: tuple[Hinge, ...]
     owners: tuple[Owner, ...]
     """(N) of the segment behind each hinge."""
@@ -123,6 +124,8 @@ class Robot:
     """(3,) m/s^2."""
     notes: tuple[str, ...] = ()
     """What zygos does not use, in sentences."""
+    translated: bool = False
+    """Whether the file that is read is a URDF, and the one that is written an MJCF."""
 
     @property
     def segments(self) -> tuple[Lump, ...]:

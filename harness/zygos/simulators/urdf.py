@@ -55,7 +55,7 @@ def read_urdf(path: Path, joints: Sequence[str] | int | None, gravity: Sequence[
         name, own_attitude, own_origin, own = lumps.pop(heaviest)
         owners.append(Owner(name, own_attitude, own_origin, own, tuple(lump for *_, lump in lumps)))
     x, y, z = (float(value) for value in gravity)
-    notes = [note for note in chain.notes if not note.startswith("<dynamics>")]
+    notes = [note for note in chain.notes if not note.startswith(("<dynamics>", "<limit>"))]
     return Robot(path, "URDF", tuple(hinges), tuple(owners), np.array([x, y, z]), tuple(notes))
 
 
@@ -68,16 +68,40 @@ def _chain(path: Path, document: Document, joints: Sequence[str] | int | None) -
 
     if joints is not None and not isinstance(joints, int) and all(name in made for name in joints):
         return read_chain_of(path, end(joints[0], "parent"), joints)
-    count = joints if isinstance(joints, int) else None if joints is None else len(joints)
-    chain, _ = read_chain(path, weighed=False)
-    if count is None or len(chain.hinges) == count:
-        return chain
-    if len(chain.hinges) < count:
+    if joints is None:
+        return read_chain(path, weighed=False)[0]
+    count = joints if isinstance(joints, int) else len(joints)
+
+    def moving(link: str) -> list[str]:
+        """The joints that move what is fixed to a link."""
+        found = []
+        for name, joint in made.items():
+            if end(name, "parent") == link:
+                found += moving(end(name, "child")) if joint.attributes.get("type") == "fixed" else [name]
+        return found
+
+    children = {end(name, "child") for name in made}
+    names: list[str] = []
+    after = [
+        name
+        for root in dict.fromkeys(end(name, "parent") for name in made)
+        if root not in children
+        for name in moving(root)
+    ]
+    while len(names) < count and len(after) == 1:
+        names += after
+        after = moving(end(names[-1], "child"))
+    if len(names) < count and after:
         raise ZygosError(
-            f"{path}: has {len(chain.hinges)} joints that turn in a chain from the base, the runs have {count}; "
-            "remedy: give the file of this arm"
+            f"{path}: the chain branches: joints {', '.join(after)}; remedy: name the joints of the arm with an arm "
+            "file (--arm)"
         )
-    return read_chain(path, tip=end(chain.hinges[count - 1].name, "child"), weighed=False)[0]
+    if len(names) < count:
+        raise ZygosError(
+            f"{path}: has {len(names)} joints in a chain from the base, the runs have {count}; remedy: give the file "
+            "of this arm"
+        )
+    return read_chain(path, tip=end(names[-1], "child"), weighed=False)[0]
 
 
 def _lump(link: Element, attitude: Array, origin: Array) -> Lump:
