@@ -59,6 +59,8 @@ CLOSED = Limit("closed", 3.0, "1", "trial",
     "Error of the predictions of an untouched run over that of noise up to which the run closes.")
 PLAIN_LEAVES = Limit("plain leaves", 0.5, "1", "trial",
     "Share of the error of the model as delivered that the plain estimate leaves where it is an answer by itself.")
+PLAIN_WRONG = Limit("plain wrong", 0.25, "1", "convention",
+    "Share of the work, or of the torques, of an untouched run that it may then predict wrongly.")
 STRETCH_S = Limit("stretch s", 0.5, "s", "convention",
     "Length of the stretches over which errors are compared.")
 CLOSED_TORQUES = Limit("closed torques", 5.0, "1", "trial",

@@ -20,7 +20,8 @@ from zygos.files.tables import write_columns
 from zygos.gap.ground.explain import explain_ground
 from zygos.simulators.explain import FileExplanation
 from zygos.simulators.file import contents, for_output, read_robot, write
-from zygos.simulators.robot import Lump, Robot
+from zygos.simulators.robot import Lump, Robot, at_stops
+from zygos.simulators.runs import read_plain
 from zygos.simulators.urdf import without_geometry
 
 EXAMPLE = ROOT / "examples" / "pendulum" / "pendulum.xml"
@@ -283,6 +284,17 @@ def test_a_place_where_the_file_would_not_work(
     err = capsys.readouterr().err.replace("\n", " ")
     assert said in err and "remedy" in err
     assert path.read_bytes() == before and not (tmp_path / "elsewhere" / "new.xml").exists()
+
+
+def test_a_stop_that_is_reached_is_told(tmp_path: Path) -> None:
+    table, angle = tmp_path / "run.npz", 1.6 * np.sin(np.arange(400) / 20.0)
+    still = np.zeros(400)
+    write_columns(table, {"t": np.arange(400) / 500.0, "q1": angle, "q2": angle, "tau1": still, "tau2": still})
+    robot, _, runs = read_plain([table], written(tmp_path))
+    (said,) = at_stops(robot, runs)
+    assert said.startswith("run.npz: a & b reaches its range of -1.571 .. 1.571 rad in 12 % of the readings")
+    hinge = replace(robot.hinges[0], range_rad=(-1.7, 1.7))
+    assert at_stops(replace(robot, hinges=(hinge, robot.hinges[1])), runs) == []
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,19 @@ def test_a_law_that_is_not_exactly_that_of_the_catalogue_is_named_in_part() -> N
     assert rest.size > 3.0 * rest.floor
 
 
+@pytest.mark.slow
+def test_a_plain_estimate_that_predicts_little_is_no_answer() -> None:
+    """It is far better than a simulation with a wrong mass, and leaves a third of the work."""
+    _, simulation = axis()
+    base, link = simulation.bodies
+    wrong = replace(simulation, bodies=(base, replace(link, mass=replace(link.mass, value=20.0 * link.mass.value))))
+    x = _explained(measured(lambda q, qd: 1.2 * size() * np.sin(7.0 * q), seconds=SECONDS), wrong)
+    assert x.gap is not None
+    assert x.gap.plain < 0.5 * x.gap.delivered and x.gap.plain > 0.25
+    assert (x.answer, x.model) == ("unknown", None), x.sentence
+    assert "the untouched run leaves" in x.sentence
+
+
 def test_a_law_with_which_most_of_an_untouched_run_is_predicted_worse_is_not_adopted() -> None:
     """Viscous friction in the place of a cube of the rate helps fast stretches, and spoils the others. What decided is
     what is told."""
@@ -140,6 +153,7 @@ def test_a_law_with_which_most_of_an_untouched_run_is_predicted_worse_is_not_ado
     failed = next(check for check in x.verdict.failed if check.name.startswith("the median error of the torques"))
     assert failed.found > failed.highest
     assert x.verdict.failed[0].sentence in x.sentence
+    assert "It does not close: " in x.sentence and x.verdict.left[0].size > 3.0 * x.verdict.left[0].floor
     # the model that is written is the one that is reported and that predicts
     assert x.model is not None and x.gap is not None
     (one,) = x.gap.predictions

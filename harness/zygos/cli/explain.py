@@ -37,7 +37,7 @@ from zygos.report.provenance import Provenance, provenance
 from zygos.simulation.scenario import save_scenario
 from zygos.simulators.explain import InSimulator, explained_in
 from zygos.simulators.file import for_output, is_simulator_file, read_robot
-from zygos.simulators.robot import Robot
+from zygos.simulators.robot import Robot, at_stops
 from zygos.simulators.runs import read_plain
 
 
@@ -142,6 +142,8 @@ def _explain_run(
             without=without,
             progress=lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
         )
+        if robot is not None:
+            warn(at_stops(robot, logs))
         own = None
         if robot is not None and isinstance(found, GroundExplanation):
             bar.update(task, description=f"{simulation.name} with what was found")
@@ -190,6 +192,7 @@ def _without_arm_file(
     check_outputs([out, wanted.report, wanted.json], [path for _, path in inputs.files])
     robot, arm, runs = read_plain([*measured, *validate], simulation)
     robot = _for_output(robot, out, planned)
+    warn(at_stops(robot, runs))
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
         found = explain_runs(

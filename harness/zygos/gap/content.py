@@ -87,7 +87,7 @@ def source_json(source: Provenance) -> dict[str, Any]:
 
 
 def _remainders(verdict: Verdict) -> list[dict[str, Any]]:
-    """What the named effects leave over, largest first; empty where they are named in whole."""
+    """What the answer leaves over, largest first; empty where it closes."""
     return [
         {
             "where": rest.where,
@@ -97,7 +97,7 @@ def _remainders(verdict: Verdict) -> list[dict[str, Any]]:
             "over": rest.over or None,
             "share": rest.share,
         }
-        for rest in (verdict.left if isinstance(verdict, PartNamed) else ())
+        for rest in (verdict.left if isinstance(verdict, PartNamed | PlainEstimate) else ())
     ]
 
 

@@ -135,9 +135,11 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one se
             )
         case PlainEstimate():
             said = "The model of `zygos estimate` from the same runs is the answer."
-            if not found.failed:
-                return f"{said} No effect of the catalogue explains what it leaves over."
-            return f"{said} That with {_searched(found.findings)} is not adopted: {found.failed[0].sentence}."
+            if found.failed:
+                said += f" That with {_searched(found.findings)} is not adopted: {found.failed[0].sentence}."
+            else:
+                said += " No effect of the catalogue explains what it leaves over."
+            return said + (f" It does not close: {left(found.left[0])}." if found.left else "")
         case NotAdmissible():
             return (
                 f"Neither the model with {_searched(found.findings)} nor that of `zygos estimate` is adopted: "

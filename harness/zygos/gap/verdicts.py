@@ -186,6 +186,8 @@ class PlainEstimate:
     """What the model with what was found does not meet."""
     findings: tuple[Finding, ...]
     """What it has beside the simulation."""
+    left: tuple[Remainder, ...] = ()
+    """What the plain estimate leaves over on the untouched runs, the largest first; empty where it closes."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +235,7 @@ _DECIDED: dict[type[Verdict], tuple[limits.Limit[float], ...]] = {
     Unexplained: (limits.PARTLY, *_NAMES),
     NotPredicted: (limits.CHANGE_LEAVES, limits.CLEARLY),
     Unpredicted: (limits.CLOSED, limits.CLOSED_TORQUES),
-    PlainEstimate: (limits.NOT_WORSE, limits.PLAIN_LEAVES, limits.EVALUATED, *_CLOSES),
+    PlainEstimate: (limits.NOT_WORSE, limits.PLAIN_LEAVES, limits.PLAIN_WRONG, limits.EVALUATED, *_CLOSES),
     NotAdmissible: (limits.NOT_WORSE, *_CLOSES),
 }
 

@@ -24,7 +24,7 @@ from zygos.simulators.correct import Corrected, corrected
 from zygos.simulators.file import contents, for_output, read_robot, simulator, write
 from zygos.simulators.held import snippet
 from zygos.simulators.measure import Simulated, simulated
-from zygos.simulators.robot import Robot
+from zygos.simulators.robot import Robot, at_stops
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,8 @@ class InSimulator:
     """As delivered, refit and corrected; empty where no run was kept apart."""
     runs: tuple[str, ...]
     """Names of the untouched runs."""
+    stops: tuple[str, ...] = ()
+    """Which joints reach a stop of the file."""
 
     @property
     def worst(self) -> float:
@@ -85,7 +87,7 @@ class InSimulator:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the file cannot hold, and what was not used of it, in sentences."""
-        out = list(self.robot.notes)
+        out = [*self.robot.notes, *self.stops]
         for one in self.corrected.lost:
             out.append(f"{one.kind.title} ({one.joint}) has no place in {self.robot.format}: it is in the snippet")
         rotors = [p.name for p in self.arm.parameters if p.symbol == "Im"]
@@ -211,7 +213,9 @@ def in_simulator(
         for changed, stage in stages:
             own = simulator(robot, arm, changed, folder)
             measured.append(Measured(stage.name, tuple(simulated(own, one, stage) for one in predictions)))
-    return InSimulator(robot, arm, found, tuple(measured), tuple(run_name(one.run) for one in predictions))
+    untouched = [one.run for one in predictions]
+    stops = tuple(at_stops(robot, [*runs, *untouched]))
+    return InSimulator(robot, arm, found, tuple(measured), tuple(map(run_name, untouched)), stops)
 
 
 def explained_in(robot: Robot, found: GroundExplanation, folder: Path | None = None) -> InSimulator | None:

@@ -140,6 +140,7 @@ def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document
             _gear(mujoco, tree, j),
             j,
             tree.joint(j).name,
+            (float(tree.jnt_range[j, 0]), float(tree.jnt_range[j, 1])) if tree.jnt_limited[j] else None,
         )
         for k, j in enumerate(chosen, start=1)
     )

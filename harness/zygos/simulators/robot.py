@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from zygos import limits
 from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother
+from zygos.can.run import Run
 from zygos.effects import Effect, effect
 from zygos.errors import ZygosError
 from zygos.model.model import Body, JointModel, Model, Quantity
@@ -32,6 +33,7 @@ Format = Literal["MJCF", "URDF"]
 
 USUAL_GEAR = 100.0
 """Gear ratio where neither arm file nor actuator states one: only Im and n together are seen."""
+_AT_STOP_RAD = 1e-3
 _SAME_PLACE_M = 1e-5
 _SAME_AXIS = 1e-5
 _UPPER = np.triu_indices(3)
@@ -92,6 +94,8 @@ class Hinge:
     """Of the joint in MuJoCo; -1 in a URDF."""
     written: str = ""
     """Its name in the file."""
+    range_rad: tuple[float, float] | None = None
+    """Angles of the simulator at which stops are."""
 
 
 @dataclass(frozen=True)
@@ -254,6 +258,26 @@ class Robot:
                 if size > 0.0:
                     listed.append(effect(key, joint.name, size / float(ratio)))
         return tuple(listed)
+
+
+def at_stops(robot: Robot, runs: Sequence[Run]) -> list[str]:
+    """Which joints reach a stop of the file in which runs, in sentences: zygos has no stops."""
+    out = []
+    for number, run in enumerate(runs, start=1):
+        for j, hinge in enumerate(robot.hinges):
+            if hinge.range_rad is None:
+                continue
+            encoder = run.arm.joints[j].motor_encoder
+            q = encoder.sign * (run.cycles.theta[:, j] - encoder.zero_rad) + hinge.zero_rad
+            low, high = hinge.range_rad
+            share = float(np.mean((q <= low + _AT_STOP_RAD) | (q >= high - _AT_STOP_RAD)))
+            if share > 0.0:
+                out.append(
+                    f"{run.path.name if run.path else f'run {number}'}: {hinge.name} reaches its range of {low:.4g} .. "
+                    f"{high:.4g} rad in {100.0 * share:.2g} % of the readings, and no effect is a stop: leave these "
+                    "parts out (--from, --to)"
+                )
+    return out
 
 
 def check_gears(arm: Arm, named: str) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.errors import ZygosError
@@ -36,7 +37,7 @@ _HEAD = """\
 class Translation:
     """A URDF in the words of MJCF."""
 
-    def __init__(self, path: Path, content: bytes, gravity: Sequence[float], folder: Path) -> None:
+    def __init__(self, path: Path, content: bytes, gravity: NDArray[np.float64], folder: Path) -> None:
         """path: of the URDF, for places of meshes. content: its bytes. gravity: m/s^2. folder: of the MJCF.
 
         Errors: ZygosError for a joint that has no word in MJCF.

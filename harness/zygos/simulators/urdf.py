@@ -38,11 +38,20 @@ def read_urdf(path: Path, joints: Sequence[str] | int | None, gravity: Sequence[
         damping, friction = (
             float(dynamics.attributes.get(key, "0")) if dynamics is not None else 0.0 for key in ("damping", "friction")
         )
+        limit = made[hinge.name].first("limit")
+        bounded = made[hinge.name].attributes.get("type") == "revolute" and limit is not None
+        low, high = (float(limit.attributes.get(key, "0")) if limit is not None else 0.0 for key in ("lower", "upper"))
         axis = attitude @ np.array(hinge.axis)
         axis = np.where(np.abs(axis) < 1e-9, 0.0, axis)
         hinges.append(
             Hinge(
-                hinge.name, origin, axis / np.linalg.norm(axis), friction=friction, damping=damping, written=hinge.name
+                hinge.name,
+                origin,
+                axis / np.linalg.norm(axis),
+                friction=friction,
+                damping=damping,
+                written=hinge.name,
+                range_rad=(low, high) if bounded and low < high else None,
             )
         )
         lumps = [(segment.link, attitude, origin, _lump(links[segment.link], attitude, origin))]

@@ -149,6 +149,8 @@ class _Explainer:
             values_found = self._values_of(adopted.model)
             if gap is not None:
                 gap = gap.closed_by(Stage.of("plain estimate", adopted.model, self.arm))
+                if isinstance(verdict, PlainEstimate):
+                    verdict = replace(verdict, left=remainders(gap.predictions))
         return GroundExplanation(
             self.arm,
             self.simulation,
@@ -194,8 +196,8 @@ class _Explainer:
                 failed = refused.failed
         try:
             # where nothing is known, it has to be an answer by itself
-            most = limits.NOT_WORSE.value if failed else limits.PLAIN_LEAVES.value
-            plain = Adopted(self.arm, self._plain(), () if gap is None else gap.plain_beside_delivered(most))
+            beside = () if gap is None else gap.plain_beside_delivered(alone=not failed)
+            plain = Adopted(self.arm, self._plain(), beside)
         except Undecided:
             return None, NotAdmissible(failed, findings) if failed else verdict
         return plain, verdict if isinstance(verdict, Inseparable) else PlainEstimate(failed, findings)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import limits
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.gap.adopted import Adopted, Check
@@ -38,15 +39,20 @@ class GroundGap:
         """The model found beside the best baseline, on each run."""
         return tuple(check for one in self.predictions for check in one.comparisons())
 
-    def plain_beside_delivered(self, most: float) -> tuple[Check, ...]:
-        """The plain estimate beside the model as delivered, on each run. most: share of the error of its torques, or of
-        its work, that it may leave."""
+    def plain_beside_delivered(self, *, alone: bool) -> tuple[Check, ...]:
+        """The plain estimate beside the model as delivered, on each run, by the work or the torques that it predicts
+        wrongly. alone: whether it has to be an answer by itself, because nothing else is known."""
+        most = limits.PLAIN_LEAVES.value if alone else limits.NOT_WORSE.value
         checks = []
         for one in self.predictions:
             work = one.plain.arm_energy_share / one.delivered.arm_energy_share
             torques = one.plain.share / one.delivered.share
             name = f"the error of the plain estimate over that of the model as delivered in {run_name(one.run)}"
             checks.append(Check(name, min(work, torques), "1", highest=most))
+            if alone:
+                name = f"the share of {run_name(one.run)} that the plain estimate predicts wrongly"
+                wrong = min(one.plain.arm_energy_share, one.plain.share)
+                checks.append(Check(name, wrong, "1", highest=limits.PLAIN_WRONG.value))
         return tuple(checks)
 
     @property

@@ -19,7 +19,7 @@ from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import after_gear, against, evidence, title
 from zygos.gap.sections import TONES, beyond_content, check_section, limit_rows, planned_section
 from zygos.gap.sentences import asked_of_candidates
-from zygos.gap.verdicts import PartNamed
+from zygos.gap.verdicts import PartNamed, PlainEstimate
 from zygos.plan.separating import Separating
 from zygos.report.answer import (
     NOTHING_DRAWN,
@@ -128,7 +128,7 @@ def _left(found: GroundExplanation) -> Section | None:
             rest.over or "none of rate, angle, load and time",
             number(100 * rest.share, 2) if rest.over else "–",
         )
-        for rest in (found.verdict.left if isinstance(found.verdict, PartNamed) else ())
+        for rest in (found.verdict.left if isinstance(found.verdict, PartNamed | PlainEstimate) else ())
     ]
     columns = "where::text | rms, N m::main | noise alone, N m | varies with::text | share, %"
     return section("left", "What is left over", table(columns, rows))
