@@ -5,6 +5,7 @@ MuJoCo is the oracle: it compiles every file that is written, and is the plant o
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -298,6 +299,28 @@ def test_a_stop_that_is_reached_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--simulation", "cad.toml"], "is no MJCF or URDF (.xml, .mjcf, .urdf); remedy"),
+        (["--simulation", "robot.xml", "--model", "cad.toml"], "--model with --simulation"),
+        (["--simulation", "robot.xml", "--since", "cad.toml", "--flight"], "--since, --flight with --simulation"),
+        (["--simulation", "robot.xml", "-o", "new.urdf"], "not a name for the corrected MJCF"),
+    ],
+)
+def test_an_estimate_that_no_file_can_have(
+    tmp_path: Path, more: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path)
+    write_columns(
+        Path("run.npz"), {"t": np.arange(50) / 500.0} | {f"{k}{i}": np.zeros(50) for k in ("q", "tau") for i in (1, 2)}
+    )
+    assert run("estimate", "run.npz", *(["-o", "new.xml"] if "-o" not in more else []), *more) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert not Path("new.xml").exists() and not Path("new.urdf").exists()
+
+
+@pytest.mark.parametrize(
     ("columns", "said"),
     [
         ({"q1", "q2", "tau1", "tau2"}, "has no column t"),
@@ -385,6 +408,17 @@ def test_friction_of_another_engine_is_found_from_plain_tables(
     said = capsys.readouterr()
     assert code == 0, said.out + said.err
     assert "in MuJoCo" in said.out
-    tree = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
-    assert tree.dof_frictionloss == pytest.approx([0.1, 0.1], abs=0.01)
-    assert tree.dof_damping == pytest.approx([0.03, 0.03], abs=0.006)
+    code = run(
+        "estimate", tmp_path / "0.npz", tmp_path / "1.npz", "--simulation", cad, "--validate", tmp_path / "2.npz",
+        "-o", tmp_path / "estimate.xml", "--json", tmp_path / "estimate.json",
+    )  # fmt: skip
+    said = capsys.readouterr()
+    assert code == 0, said.out + said.err
+    own = json.loads((tmp_path / "estimate.json").read_text())["simulator"]
+    assert own["good"] and own["integrator"] == "IMPLICITFAST, 1 ms"
+    (of_run,) = own["runs"]
+    assert of_run["corrected"]["energy"] < 0.1 * of_run["as_delivered"]["energy"]
+    for name in ("new.xml", "estimate.xml"):
+        tree = mujoco.MjModel.from_xml_path(str(tmp_path / name))
+        assert tree.dof_frictionloss == pytest.approx([0.1, 0.1], abs=0.01), name
+        assert tree.dof_damping == pytest.approx([0.03, 0.03], abs=0.006), name

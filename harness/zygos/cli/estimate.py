@@ -15,7 +15,7 @@ from zygos.can.run import Run as RecordedRun
 from zygos.can.run import find_arm, joined
 from zygos.cli.estimated import finish_estimate, finish_ground, finish_payload
 from zygos.cli.options import ArmFile, Details, Json, Report, Runs, cuts
-from zygos.cli.shared import Wanted, check_model_name, not_whole, origin, read_runs
+from zygos.cli.shared import Wanted, check_model_name, not_whole, origin, read_runs, warn
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.estimation.estimate import Estimation, estimate
@@ -46,6 +46,8 @@ class GroundOptions:
     friction: str | None = None
     doubtful: bool = False
     since: Path | None = None
+    simulation: Path | None = None
+    """A file of a simulator that is to be corrected."""
 
     @property
     def given(self) -> list[str]:
@@ -55,6 +57,7 @@ class GroundOptions:
             "--friction": self.friction,
             "--doubtful": self.doubtful,
             "--since": self.since,
+            "--simulation": self.simulation,
         }
         return [name for name, value in names.items() if value]
 
@@ -70,6 +73,9 @@ def estimate_runs(
     ground: GroundOptions,
 ) -> None:
     """Estimate from recorded runs; see `zygos estimate --help`."""
+    if ground.simulation is not None:
+        _correct(runs, arm_file, out, model_file, wanted, command, flight, ground, ground.simulation)
+        return
     chosen = find_arm(runs[0], arm_file)
     check_model_name(out)
     inputs = [*runs, chosen, runs[0].parent / "arm.toml", model_file, *ground.validate, ground.since]
@@ -115,6 +121,73 @@ def estimate_runs(
         )
     finish_estimate(answer, out, origin(run), wanted, source, hint=_hint(answer, runs, arm_file))
     not_whole(*(one.damage for one in learned))
+
+
+def _correct(
+    runs: Sequence[Path],
+    arm_file: Path | None,
+    out: Path,
+    model_file: Path | None,
+    wanted: Wanted,
+    command: Sequence[str],
+    flight: bool,
+    ground: GroundOptions,
+    simulation: Path,
+) -> None:
+    """Estimate, and write the estimate into the file of a simulator."""
+    from zygos.simulators.explain import estimated_in  # noqa: PLC0415  (of use here alone, and slow to load)
+    from zygos.simulators.file import for_output, is_simulator_file, read_robot  # noqa: PLC0415
+    from zygos.simulators.robot import at_stops  # noqa: PLC0415
+    from zygos.simulators.runs import read_plain  # noqa: PLC0415
+
+    beside = [
+        name for name, value in (("--model", model_file), ("--since", ground.since), ("--flight", flight)) if value
+    ]
+    if beside:
+        raise ZygosError(
+            f"{', '.join(beside)} with --simulation: the file of the simulator is the model; remedy: leave "
+            f"{'it' if len(beside) == 1 else 'them'} out"
+        )
+    if not is_simulator_file(simulation):
+        raise ZygosError(
+            f"--simulation {simulation}: is no MJCF or URDF (.xml, .mjcf, .urdf); remedy: a model of zygos is given "
+            "with --model"
+        )
+    if not is_simulator_file(out):
+        check_model_name(out)
+    read = [*runs, *ground.validate]
+    files = [("simulation", simulation), *(("run", path) for path in runs)]
+    if (arm_file or runs[0].parent / "arm.toml").is_file():
+        chosen = find_arm(runs[0], arm_file)
+        files.append(("arm", chosen))
+        check_outputs([out, wanted.json, wanted.report], [*read, chosen, simulation])
+        arm = load_arm(chosen)
+        robot = read_robot(simulation, arm)
+        recorded = read_runs(read, arm_file, chosen, arm, own_noise=True)
+    else:
+        if arm_file is not None:
+            find_arm(runs[0], arm_file)
+        check_outputs([out, wanted.json, wanted.report], [*read, simulation])
+        robot, arm, recorded = read_plain(read, simulation)
+    files += [("validated", path) for path in ground.validate]
+    if is_simulator_file(out):
+        robot = for_output(robot, out)
+    warn(at_stops(robot, recorded))
+    learned, checked = recorded[: len(runs)], recorded[len(runs) :]
+    with progress() as bar:
+        task = bar.add_task("learning", total=1.0)
+        found = estimate_ground(
+            learned,
+            model=robot.model(arm),
+            effects=_friction(learned[0], ground.friction or "coulomb,viscous"),
+            validate=checked,
+            doubtful=ground.doubtful,
+            progress=lambda share: bar.update(task, completed=share),
+        )
+        bar.update(task, description=f"{simulation.name} with what was found")
+        own = estimated_in(robot, found, checked, out.parent)
+    finish_ground(found, out, wanted, partial(provenance, command, files), own)
+    not_whole(*(run.damage for run in recorded))
 
 
 def _hint(found: Estimation, runs: Sequence[Path], arm_file: Path | None) -> str:
@@ -180,7 +253,15 @@ def _friction(run: RecordedRun, text: str) -> tuple[Effect, ...]:
 def command(
     context: typer.Context,
     run: Runs,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="MODEL.toml|NEW.xml|NEW.urdf",
+            help="The model to write, or with --simulation the corrected file of the simulator.",
+        ),
+    ],
     arm: ArmFile = None,
     model: Annotated[
         Path | None,
@@ -218,6 +299,15 @@ def command(
             "first moments and inertia. Needs position_m of every joint in the arm file.",
         ),
     ] = None,
+    simulation: Annotated[
+        Path | None,
+        typer.Option(
+            "--simulation",
+            metavar="ROBOT.xml|ROBOT.urdf",
+            help="The MJCF or URDF of an arm on the ground, which -o CORRECTED.xml or .urdf writes with this estimate. "
+            "It gives what the runs do not determine. Without an arm file, runs are tables (docs/simulators.md).",
+        ),
+    ] = None,
     flight: Annotated[
         bool, typer.Option("--flight", help="Use the C library for flight also where the arm stands on the ground.")
     ] = False,
@@ -245,6 +335,8 @@ def command(
 
     Example: zygos estimate a/run.npz b/run.npz --validate c/run.npz -o learned.toml
 
+    Example: zygos estimate a.npz b.npz --simulation robot.xml --validate c.npz -o corrected.xml
+
     Example: zygos estimate loaded/run.npz --since learned.toml -o loaded.toml
     """
     estimate_runs(
@@ -255,5 +347,5 @@ def command(
         Wanted(json, report, details),
         context.obj or ["estimate"],
         flight,
-        GroundOptions(validate or (), friction, doubtful, since),
+        GroundOptions(validate or (), friction, doubtful, since, simulation),
     )

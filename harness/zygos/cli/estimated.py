@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from zygos.cli.shared import Wanted, conclude, deliver, warn
+from zygos.cli.shared import Wanted, conclude, deliver, save_corrected, warn
 from zygos.estimation import sections
 from zygos.estimation.estimate import Estimation
 from zygos.files.output import named
@@ -14,7 +14,11 @@ from zygos.ground.estimate import GroundEstimate
 from zygos.ground.payload import Payload, check_found
 from zygos.ground.sections import estimate_answer, payload_answer
 from zygos.model.model import Model, save_model
+from zygos.report.answer import Answer
 from zygos.report.provenance import Provenance
+
+if TYPE_CHECKING:
+    from zygos.simulators.explain import InSimulator
 
 Source = Callable[[], Provenance]
 
@@ -43,17 +47,27 @@ def finish_estimate(
     conclude(found.validity, f"{found.validity}: {found.reason}{measured} ({where}); remedy: {found.remedy}")
 
 
-def finish_ground(found: GroundEstimate, out: Path, wanted: Wanted, source: Source) -> None:
-    """End an estimate on the ground. Raises Undecided if it is doubtful or refused."""
-    where = _where(found.validity, out)
-    deliver(
-        wanted,
-        lambda draw: estimate_answer(found, written=where, draw=draw),
-        found.as_dict,
-        source,
-        out,
-        save=_saved(found.validity, found.to_model, out),
-    )
+def finish_ground(
+    found: GroundEstimate, out: Path, wanted: Wanted, source: Source, own: InSimulator | None = None
+) -> None:
+    """End an estimate on the ground. Raises Undecided if it is doubtful or refused. own: the corrected file of the
+    simulator."""
+    in_file = own is not None and out.suffix.lower() != ".toml"
+    where = "" if in_file and own is not None and not own.good else _where(found.validity, out)
+
+    def answer(draw: bool) -> Answer:
+        whole = estimate_answer(found, written=where, draw=draw)
+        return whole if own is None else own.beside(whole)
+
+    def content() -> dict[str, Any]:
+        return found.as_dict() if own is None else {**found.as_dict(), "simulator": own.as_json()}
+
+    def save() -> None:
+        assert own is not None
+        save_corrected(own, out)
+
+    saved = save if in_file else _saved(found.validity, found.to_model, out)
+    deliver(wanted, answer, content, source, out, save=saved)
     conclude(found.validity, f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}")
 
 

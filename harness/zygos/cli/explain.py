@@ -14,10 +14,10 @@ import typer
 from zygos.arm import load_arm
 from zygos.can.run import Run, check_distinct, find_arm, read_run
 from zygos.cli.options import ArmFile, Details, Json, cuts
-from zygos.cli.shared import Wanted, arm_beside, check_model_name, deliver, not_whole, warn
+from zygos.cli.shared import Wanted, arm_beside, check_model_name, deliver, not_whole, save_corrected, warn
 from zygos.effects import estimated, laws
 from zygos.errors import Undecided, ZygosError
-from zygos.files.output import check_outputs, named, note, number
+from zygos.files.output import check_outputs, named, number
 from zygos.files.progress import progress
 from zygos.gap import sections
 from zygos.gap.content import as_json, planned_json
@@ -326,9 +326,7 @@ def finish(
         if own is None or not is_simulator_file(out):
             save_model(model, out)
             return
-        own.check(out)
-        for path in own.write(out)[1:]:
-            note(f"{path}: written as well")
+        save_corrected(own, out)
 
     deliver(wanted, answer, content, source, out, save=None if model is None else save)
     if model is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from zygos.arm import Arm, Encoder, load_arm
 from zygos.can import run as recorded
@@ -17,6 +17,9 @@ from zygos.files.progress import progress
 from zygos.report.answer import Answer
 from zygos.report.provenance import Provenance
 from zygos.report.terminal import show
+
+if TYPE_CHECKING:
+    from zygos.simulators.explain import InSimulator
 
 
 def check_model_name(path: Path) -> None:
@@ -164,6 +167,12 @@ def deliver(
     finally:
         if wanted.json:
             write_json(wanted.json, content())
+
+
+def save_corrected(own: InSimulator, out: Path) -> None:
+    """Write the corrected file of a simulator, and say what is written beside it. Errors: as `InSimulator.save`."""
+    for path in own.save(out)[1:]:
+        note(f"{path}: written as well")
 
 
 def not_whole(*damage: Sequence[str]) -> None:

@@ -15,8 +15,9 @@ from zygos.errors import Undecided, ZygosError
 from zygos.files.output import number, write_text
 from zygos.gap.explanation import Explanation
 from zygos.gap.ground.explanation import GroundExplanation
-from zygos.gap.ground.predictions import Prediction, Stage, run_name
+from zygos.gap.ground.predictions import Prediction, Stage, predict, run_name
 from zygos.gap.runs import explain_runs
+from zygos.ground.estimate import GroundEstimate, complete
 from zygos.ground.motion import Motion, TorqueRows, cutoff_hz, torque_rows
 from zygos.model.model import Model
 from zygos.report.answer import Answer, Items, Section, Text, section, table
@@ -50,6 +51,8 @@ class InSimulator:
     """Names of the untouched runs."""
     stops: tuple[str, ...] = ()
     """Which joints reach a stop of the file."""
+    integrator: str = ""
+    """Of the file, with its time step; empty where no run was kept apart."""
 
     @property
     def worst(self) -> float:
@@ -74,8 +77,10 @@ class InSimulator:
         """What is to be written, by path."""
         return contents(self.robot, self.corrected.robot, out)
 
-    def write(self, out: Path) -> tuple[Path, ...]:
-        """Write the corrected file, those that it includes and that change, and the snippet; their paths."""
+    def save(self, out: Path) -> tuple[Path, ...]:
+        """Write the corrected file, those that it includes and that change, and the snippet; their paths. Errors: as
+        `check`."""
+        self.check(out)
         files = self.contents(out)
         write(files)
         if not self.corrected.lost:
@@ -135,8 +140,8 @@ class InSimulator:
                 f"{self.robot.path.name} on the untouched runs: the share of the work of the motors in one second that "
                 "is predicted wrongly, from the torques of `mj_inverse` on the same filtered motion, beside that of "
                 "zygos' own equations with what the file holds. Forward: error of the angles half a second after the "
-                "measured torques began to act, with the integrator and the time step of the file, as share of the way "
-                "of the joints."
+                f"measured torques began to act, with the integrator of the file ({self.integrator}), as share of the "
+                "way of the joints."
             ),
             table("model | run::text | MuJoCo, %::main | zygos, % | forward, %", rows),
             Items(self.notes) if self.notes else None,
@@ -158,6 +163,7 @@ class InSimulator:
             "file": str(self.robot.path),
             "format": self.robot.format,
             "good": self.good,
+            "integrator": self.integrator or None,
             "runs": [
                 {
                     "run": run,
@@ -202,7 +208,7 @@ def in_simulator(
     """
     rows = [*rows_of(runs), *(one.rows for one in predictions)]
     found = corrected(robot, arm, Stage.of("corrected", model, arm), rows)
-    measured = []
+    measured, integrator = [], ""
     if predictions:
         delivered = robot.model(arm)
         stages: list[tuple[Robot | None, Stage]] = [(None, Stage.of("as delivered", delivered, arm))]
@@ -212,10 +218,11 @@ def in_simulator(
         stages.append((found.robot, found.stage("corrected")))
         for changed, stage in stages:
             own = simulator(robot, arm, changed, folder)
+            integrator = own.integrator
             measured.append(Measured(stage.name, tuple(simulated(own, one, stage) for one in predictions)))
     untouched = [one.run for one in predictions]
     stops = tuple(at_stops(robot, [*runs, *untouched]))
-    return InSimulator(robot, arm, found, tuple(measured), tuple(map(run_name, untouched)), stops)
+    return InSimulator(robot, arm, found, tuple(measured), tuple(map(run_name, untouched)), stops, integrator)
 
 
 def explained_in(robot: Robot, found: GroundExplanation, folder: Path | None = None) -> InSimulator | None:
@@ -232,6 +239,19 @@ def explained_in(robot: Robot, found: GroundExplanation, folder: Path | None = N
         None if gap is None else gap.stages[1],
         folder,
     )
+
+
+def estimated_in(
+    robot: Robot, found: GroundEstimate, untouched: Sequence[Run], folder: Path | None = None
+) -> InSimulator | None:
+    """The file with the model of an estimate, and with its own values where the runs determine none; None where the
+    estimate is refused. Errors: as `in_simulator`."""
+    if found.validity == "refused":
+        return None
+    model = complete(found.to_model(), found.arm)
+    stages = Stage.of("as delivered", robot.model(found.arm), found.arm), Stage.of("estimate", model, found.arm)
+    predictions = [predict(run, stages[0], *stages) for run in untouched]
+    return in_simulator(robot, found.arm, model, found.runs, predictions, None, folder)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,17 +284,18 @@ class FileExplanation:
         return own
 
     def written_as(self, out: Path) -> InSimulator:
-        """The corrected file in the format of a name, measured. Errors: as `save`."""
+        """The corrected file in the format of a name, measured. Errors: as `to_mjcf`."""
         robot = for_output(self.robot, out)
         own = self._measured(robot) if robot.translated else self.simulator
-        own.check(out)
         return own
 
     def to_mjcf(self) -> str:
         """The text of the corrected MJCF, beside the file that was read; also of a URDF. Errors: Undecided where no
         model is to be written; ZygosError where an included file changes, which `save` writes as well."""
         out = self.robot.path.with_name("corrected.xml")
-        files = self.written_as(out).contents(out)
+        own = self.written_as(out)
+        own.check(out)
+        files = own.contents(out)
         if len(files) > 1:
             raise ZygosError(f"{self.robot.path}: files that it includes change as well; remedy: save('corrected.xml')")
         return files[out].decode()
@@ -283,7 +304,7 @@ class FileExplanation:
         """Write the corrected file, and what goes with it; their paths. Errors: as `to_mjcf`, and ZygosError for a name
         or a folder in which it would not be found."""
         place = Path(out)
-        return self.written_as(place).write(place)
+        return self.written_as(place).save(place)
 
 
 def explain(

@@ -49,6 +49,12 @@ class Simulator:
         self._dof = np.array([int(tree.jnt_dofadr[j]) for j in joints])
         self._zero = np.array([hinge.zero_rad for hinge in robot.hinges])
 
+    @property
+    def integrator(self) -> str:
+        """Of the file, with its time step."""
+        kind = self._mujoco.mjtIntegrator(int(self._tree.opt.integrator)).name.removeprefix("mjINT_")
+        return f"{kind}, {1e3 * float(self._tree.opt.timestep):g} ms"
+
     def inverse(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
         """(m, N) torques of the bodies and of friction for a motion (m, N) without contacts and limits, Nm."""
         mujoco, tree, data = self._mujoco, self._tree, self._data
