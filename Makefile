@@ -117,7 +117,7 @@ test: build node $(VENV)/.test ## the quick tests, a process for each core
 	$(PYTEST) --budget $(QUICK_BUDGET) -m "not slow" $(TESTS)
 
 test-slow: build node $(VENV)/.test ## the slow tests alone
-	$(PYTEST) -m slow $(TESTS)
+	$(PYTEST) --dist worksteal -m slow $(TESTS)
 
 test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (out/tests.json)
 	$(PYTEST) --budget $(WHOLE_BUDGET) --times $${ZYGOS_OUT:-out}/tests.json $(TESTS)

@@ -43,31 +43,13 @@ def test_nothing_is_missing_where_the_twin_leaves_as_much(tmp_path: Path) -> Non
     assert verdict["answer"] == "nothing missing", verdict["sentence"]
 
 
-def test_friction_that_falls_with_the_rate_is_named_in_part_on_the_ground(tmp_path: Path) -> None:
-    """What is hidden falls otherwise than the column."""
-    verdict, _ = _asked("pendulum/motor_stribeck/shoulder/x30", tmp_path, part=1.0)
-    assert verdict["answer"] == "part named", verdict["sentence"]
-    assert [(one["effect"], one["joint"]) for one in verdict["findings"]] == [("motor_stribeck", "shoulder")]
-
-
-@pytest.mark.parametrize("cell", ["planar/null", "pendulum/null"])
-def test_where_nothing_is_missing_the_whole_catalogue_has_limits(cell: str, tmp_path: Path) -> None:
-    verdict, _ = _asked(cell, tmp_path)
+def test_where_nothing_is_missing_the_whole_catalogue_has_limits(tmp_path: Path) -> None:
+    verdict, _ = _asked("planar/null", tmp_path)
     assert verdict["answer"] == "nothing missing"
     assert all(one["limit"] > 0.0 for one in verdict["limits"])
     limits = {one["name"].partition("@")[0] for one in verdict["limits"]}
     assert {"motor_stribeck1", "motor_stribeck2", "ripple_sin1", "ripple_cos2"} <= limits
-    if cell == "planar/null":
-        assert {"load_friction1", "backlash2", "torque_gain2", "link_scale1", "base_torque", "gyro_scale"} <= limits
-
-
-def test_a_small_effect_is_not_taken_for_noise_of_the_torques(tmp_path: Path) -> None:
-    """What is hidden is three times the limit that the nulls state."""
-    verdict, size = _asked("planar/torque_gain/elbow/x3", tmp_path)
-    assert verdict["answer"] in {"named", "part named"}, verdict["sentence"]
-    (found,) = verdict["findings"]
-    assert (found["effect"], found["joint"]) == ("torque_gain", "elbow")
-    assert found["value"] == pytest.approx(size, rel=0.03)
+    assert {"load_friction1", "backlash2", "torque_gain2", "link_scale1", "base_torque", "gyro_scale"} <= limits
 
 
 def test_a_zero_of_an_encoder_is_stated_as_such(tmp_path: Path) -> None:
@@ -99,33 +81,12 @@ def test_a_drive_that_is_late_by_more_than_a_period_is_no_model(tmp_path: Path) 
     assert late["found"] > late["highest"]
 
 
-def test_a_law_of_the_second_round_is_named(tmp_path: Path) -> None:
-    verdict, size = _asked("planar/load_friction/elbow/x30", tmp_path)
-    assert verdict["answer"] in {"named", "part named"}, verdict["sentence"]
-    first = verdict["findings"][0]
-    assert (first["effect"], first["joint"]) == ("load_friction", "elbow")
-    assert first["value"] == pytest.approx(size, rel=0.05)
-
-
 def test_what_only_the_untouched_run_shows_is_unknown(tmp_path: Path) -> None:
     """A cable that pulls towards an angle, beside torques whose noise, gains and offsets nobody declared: in two runs
     they take it up."""
     verdict, _ = _asked("planar/outside/cable_spring/shoulder", tmp_path)
     assert verdict["answer"] == "unknown", verdict["sentence"]
     assert "every balance closes" in verdict["sentence"]
-
-
-def test_a_law_that_is_left_out_does_not_come_back_at_the_end_of_a_shape(tmp_path: Path) -> None:
-    """Friction of bristles that slide after 1e-4 rad is Coulomb friction, as is a peak that is wider than all rates."""
-    verdict, _ = _asked("planar/without/motor_coulomb/elbow", tmp_path)
-    assert verdict["answer"] == "unknown", verdict["sentence"]
-
-
-def test_two_laws_of_which_one_would_create_energy_are_no_name(tmp_path: Path) -> None:
-    """A peak of friction below zero beside Coulomb friction looks like the viscous friction that is left out."""
-    verdict, _ = _asked("planar/without/motor_viscous/elbow", tmp_path)
-    assert verdict["answer"] in {"part named", "unknown"}, verdict["sentence"]
-    assert {found["effect"] for found in verdict["findings"]} <= {"motor_coulomb"}
 
 
 def test_coarse_encoders_do_not_hide_what_torque_sensors_do_to_predictions(tmp_path: Path) -> None:
@@ -146,13 +107,6 @@ def test_an_offset_that_noisy_torques_may_have_is_nothing_that_is_missing(
 ) -> None:
     verdict, _ = _asked(f"coarse/{cell}", tmp_path, draw, part)
     assert verdict["answer"] == answer, verdict["sentence"]
-
-
-def test_limits_are_stated_beside_gains_of_torque_sensors(tmp_path: Path) -> None:
-    verdict, _ = _asked("pendulum/motor_stribeck/shoulder/x10", tmp_path)
-    assert verdict["answer"] == "nothing missing", verdict["sentence"]
-    assert any("torque sensors read differently" in one for one in verdict["remarks"])
-    assert {"motor_stribeck1", "ripple_sin2"} <= {one["name"].partition("@")[0] for one in verdict["limits"]}
 
 
 def test_a_small_joint_shows_friction_beside_a_large_one(tmp_path: Path) -> None:
