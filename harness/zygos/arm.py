@@ -573,7 +573,7 @@ def read_arm(top: Table) -> Arm:
         "kinetic",
         'How the arm moves. "spatial": the axes have any direction. "planar": all axes are parallel. '
         '"planar-symmetric": as "planar", and the mass centre of each body lies on the line between its joints; '
-        "not under gravity.",
+        'under gravity it is read as "planar".',
         _KINETICS,
     )
     imu = NO_IMU
@@ -660,6 +660,9 @@ def read_arm(top: Table) -> Arm:
     arc.finish()
     top.finish()
     _check_whole(arm, top)
+    if kinetic == "planar-symmetric" and any(gravity):
+        # an estimate under gravity takes no mass centre as known
+        return replace(arm, kinetic="planar")
     return arm
 
 
@@ -1086,12 +1089,6 @@ def _check_geometry(arm: Arm, top: Table) -> None:
                 'the joints of the stretched arm lie on no line, but kinetic is "planar-symmetric"',
                 'write kinetic = "planar", or count the link angles from the stretched posture',
             )
-    if arm.kinetic == "planar-symmetric" and not arm.free and any(arm.gravity):
-        raise top.error(
-            "kinetic",
-            'is "planar-symmetric", but under gravity the estimate leaves open where mass centres lie',
-            'write kinetic = "planar"',
-        )
 
 
 def save_arm(arm: Arm, path: str | Path) -> None:

@@ -182,7 +182,7 @@ CASES = [
     Case("scaled", scaled("theta", 1, 50.0), "scaled by 50", mapped=True),
     Case("wraps", wrapped("q", 1, -np.pi + 0.3), "wraps", mapped=True),
     Case("zero", shifted("q", 0, 0.03), "zero off by"),
-    Case("gear_ratio", scaled("tau", 1, 3.0), "scaled by 2.99"),
+    Case("torque_scale", scaled("tau", 1, 3.0), "scaled by 2.99"),
     Case("delay", older("omega", range(3), 1.0), "late by", mapped=True),
     Case("delay", older("tau", (0, 1), 2.0), "late by", mapped=True),
     Case("delay", older("tau", (0, 1), -2.0), "early by", mapped=True),
@@ -195,7 +195,7 @@ CASES = [
     Case("turned_joint", both(inverted("q", 1), inverted("theta", 1), inverted("tau", 1)),
          "inverted, as all signals of the joint", mapped=True),
 ]  # fmt: skip
-ELSEWHERE = {"period", "behind_gear", "noisy_torque", "skew", "swapped_joints", "smoother"}
+ELSEWHERE = {"period", "noisy_torque", "skew", "swapped_joints", "smoother"}
 """Those that a table of the example cannot show, and that have a test of their own below."""
 
 

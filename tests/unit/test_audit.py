@@ -36,7 +36,7 @@ from scipy.stats import linregress
 
 from conftest import EXAMPLE, ROOT, need
 from zygos.accuracy.cases import all_cases, chosen
-from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
+from zygos.arm import ANGLE_STEP, NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.audit import Audit, audit
 from zygos.audit.balance import flattened
 from zygos.audit.delays import Group
@@ -262,9 +262,9 @@ def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycle
     arm, clean = runs["b"]
     sigma = arm.joints[0].link_encoder.sigma_rad
     for cycles in clean:
-        assert named(audit(arm, noisy("theta", 1, 12 * sigma)(cycles)))[M2].startswith(
-            "noisier than declared by a factor of 8"
-        )
+        said = named(audit(arm, noisy("theta", 1, 12 * sigma)(cycles)))[M2]
+        factor = float(said.removeprefix("noisier than declared by a factor of "))
+        assert factor == pytest.approx(12 * sigma / np.hypot(sigma, ANGLE_STEP / np.sqrt(12)), rel=0.1)
         assert audit(arm, noisy("theta", 1, 1.5 * sigma)(cycles)).ok
 
 
@@ -442,6 +442,15 @@ def test_white_noise_is_that_of_the_band_with_least() -> None:
         motion = np.sin(0.01 * t) + 0.05 * np.sin(1.1 * t)
         assert white_noise(motion + noise, [(0, len(t))]) == pytest.approx(1e-3, rel=0.15)
         assert noise_level(motion + noise, [(0, len(t))]) > 3e-3
+
+
+def test_a_fast_motion_in_some_parts_of_a_run_is_no_noise() -> None:
+    """Also where the run has many gaps, so that a part has few spans of the spectrum."""
+    t = np.arange(2000)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    jolt = np.where(t % 1000 < 500, 0.3 * np.random.default_rng(1).standard_normal(len(t)), 0.0)
+    for length in (100, 250, 2000):
+        assert white_noise(noise + jolt, [(a, a + length) for a in range(0, 2000, length)]) < 2e-3
 
 
 @pytest.mark.slow

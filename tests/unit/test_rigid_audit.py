@@ -10,11 +10,10 @@ import pytest
 from audit_support import Fault, both, inverted, scaled, swapped
 from panda_support import panda, recorded
 
-from zygos.arm import TorqueUnit
+from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, TorqueAt, TorqueUnit
 from zygos.audit import Audit, audit, remedies
 from zygos.audit.rigid import Reading, RigidLaw
-from zygos.audit.units import behind_gear
-from zygos.runs.cycles import Cycles
+from zygos.runs.cycles import INVALID, Cycles
 
 SIGMA = 0.01
 THREE, SEVEN = 3, 7
@@ -101,6 +100,65 @@ def test_a_wrong_gear_ratio_is_named_with_its_value(joints: int, joint: int, fac
     assert float(said) == pytest.approx(100.0 / factor, rel=0.03)
 
 
+def pendulum(torque_at: TorqueAt = "rotor") -> tuple[Arm, Cycles]:
+    """Two links of 0.3 m that swing about x, gears of 6, and 20 s of their torques by Lagrange's equations."""
+    encoder = Encoder(2 * np.pi / 2**16, 2**16)
+    joints = tuple(
+        Joint(name, i + 1, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 6.0, encoder, encoder, flexible=False, torque_sigma=0.01,
+              position_m=(0.0, 0.0, -0.3 * i))
+        for i, name in enumerate(("j1", "j2"))
+    )  # fmt: skip
+    arm = Arm("pendulum", "fixed", "planar", 0.005, "sampled", torque_at, joints, NO_IMU,
+              smoother=Smoother(31, 4, 15), gravity=(0.0, 0.0, -9.81))  # fmt: skip
+    t = arm.period_s * np.arange(4000)
+    size, rate, phase = np.array([[0.8, 0.4], [0.9, 0.5]]), np.array([[2.4, 5.2], [3.4, 7.0]]), np.array([0.1, 1.0])
+    angle = rate[..., None] * t + phase[:, None]
+    q, v, a = (
+        np.einsum("ij,ijt->it", size * rate**k, wave)
+        for k, wave in ((0, np.sin(angle)), (1, np.cos(angle)), (2, -np.sin(angle)))
+    )
+    coupling, inner, outer = 0.018, 0.066, 0.013
+    weight = 9.81 * np.array([0.22, 0.06])[:, None] * np.sin([q[0], q[0] + q[1]])
+    cosine, sine = coupling * np.cos(q[1]), coupling * np.sin(q[1])
+    torque = np.array([
+        (inner + 2 * cosine) * a[0] + (outer + cosine) * a[1] - sine * (2 * v[0] + v[1]) * v[1] + weight.sum(axis=0),
+        (outer + cosine) * a[0] + outer * a[1] + sine * v[0] ** 2 + weight[1],
+    ]) + 0.03 * np.tanh(v / 0.01)  # fmt: skip
+    torque += 0.002 * np.random.default_rng(0).standard_normal(torque.shape)
+    theta = encoder.quantum_rad * np.rint(q.T / encoder.quantum_rad)
+    tau = torque.T / (6.0 if torque_at == "rotor" else 1.0)
+    number, flags = np.arange(len(t), dtype=np.uint64), np.zeros(len(t), dtype=np.uint32)
+    return arm, Cycles(number, theta, theta.copy(), tau, np.zeros((len(t), 3)), flags)
+
+
+@pytest.mark.slow(but=["0-rotor"])
+@pytest.mark.parametrize(("torque_at", "factor"), [("rotor", 6.0), ("joint", 1 / 6)], ids=["rotor", "joint"])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_torque_of_the_other_side_of_its_gear_is_named_between_two(
+    torque_at: TorqueAt, factor: float, joint: int
+) -> None:
+    """The torques of two joints show their ratio alone, and the inverse factor of the other torque is no gear's."""
+    arm, cycles = pendulum(torque_at)
+    assert faults(audit(arm, cycles)) == {}
+    found = audit(arm, scaled("tau", joint, factor)(cycles))
+    assert list(faults(found)) == [T[joint]]
+    assert found.findings[0].remedy.startswith("measured ")
+
+
+@pytest.mark.slow(but=["1"])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_late_angle_is_no_early_torque(joint: int) -> None:
+    """Of one joint, by four periods of 5 ms."""
+    arm, cycles = pendulum()
+    theta, flags = cycles.theta.copy(), cycles.flags.copy()
+    theta[4:, joint] = cycles.theta[:-4, joint]
+    flags[:4] = INVALID
+    (finding,) = audit(arm, replace(cycles, q=theta, theta=theta, flags=flags)).findings
+    assert finding.signal == f"j{joint + 1} motor angle" and finding.fault.startswith("late by ")
+    (setting,) = finding.settings
+    assert (setting.key, setting.value) == ("delay_s", pytest.approx(0.020, abs=4e-4))
+
+
 CONSTANTS = (2.0, 3.0, 0.7, 1.4, 0.3, 5.0, 1.0)
 """Ampere for one Nm of each motor."""
 
@@ -162,10 +220,18 @@ def test_noise_that_is_larger_by_the_gear_ratio_may_be_that_of_a_torque_behind_i
     assert "behind the gear" not in remedies.noisy_torque(sensors, 0, 0.019).text
 
 
-def test_a_torque_with_a_sensor_behind_the_gear_has_no_ratio_to_correct() -> None:
-    arm = panda(1)
-    assert behind_gear(arm, 0, 0.0102) and not behind_gear(arm, 0, 0.02) and not behind_gear(arm, 0, 100.0)
-    assert not behind_gear(replace(arm, torque_at="joint"), 0, 0.01)
+def test_the_remedy_of_a_wrong_scale_is_that_of_its_side() -> None:
+    """Of a sensor behind the gear, no key of the arm file changes the scale."""
+    arm, sensors = panda(1), replace(panda(1), torque_at="joint")
+    for told, factor, said in (
+        (arm, 0.0102, 'measured behind the gear: at = "output" of torque in the map'),
+        (arm, 0.02, "gear_ratio = 2.0 of the joint"),
+        (arm, 100.0, "gear_ratio = 10000.0 of the joint"),
+        (sensors, 98.0, "measured before the gear: scale = 100.0 of torque in the map"),
+        (sensors, 0.01, "scale = 0.01 of torque in the map"),
+    ):
+        assert remedies.torque_scale(told, 0, factor).text.startswith(said)
+        assert remedies.other_side(told, 0, factor) == said.startswith("measured")
 
 
 @pytest.mark.parametrize("count", range(36, 130, 7))

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
 from zygos import limits
-from zygos.arm import TorqueLaw
+from zygos.arm import Arm, TorqueLaw
 from zygos.audit import remedies
 from zygos.audit.case import Case
 from zygos.audit.delays import Delay, Group, find_delay, groups, shifted
 from zygos.audit.means import TORQUE_LATE
 from zygos.audit.rigid import Reading, RigidLaw, with_angles
-from zygos.audit.units import FACTORS, Scale, find_scale, find_torque_scale, nearest, scales
+from zygos.audit.units import FACTORS, Scale, common_torque_scale, find_scale, find_torque_scale, nearest, scales
 from zygos.audit.whole import find_late
 from zygos.runs.cycles import Cycles
+
+_FEW = 3
+"""Largest number of joints of which every angle is searched for a delay: another angle changes all columns."""
 
 
 def check_grounded(case: Case, use: list[int], broken: set[int]) -> None:
@@ -38,14 +41,14 @@ def check_grounded(case: Case, use: list[int], broken: set[int]) -> None:
         declared = law.with_fitted_scales(declared, use)
     best = _best_reading(case, law, declared, use)
     late = _delay(case, law, declared, use, broken)
-    if late is not None and _gain(late) > law.score(declared).total - law.score(best).total:
+    if late is not None and _gain(late, law.with_rows) > law.score(declared).total - law.score(best).total:
         law = _correct_delay(case, law, late, broken)
         best = _best_reading(case, law, declared, use)
     kept = declared
     if best != declared and _closes(law, best, use):
         _find_reading(case, law, declared, best)
         kept = best
-    for _ in use:
+    for _ in use if late is not None or kept != declared else ():
         late = _delay(case, law, kept, use, broken)
         if late is None:
             break
@@ -104,7 +107,15 @@ def _with_scales(law: RigidLaw, reading: Reading, use: list[int]) -> Reading:
         if not better:
             break
         now = min(better, key=lambda one: law.score(one).total)
+        # the torques of two joints show their ratio alone: either may be the wrong one
+        alike = (one for one in better if not _clearly(law, one, now, limits.AUDIT_SURE.value))
+        now = next((one for one in alike if _mistakes(law.arm, one, reading)), now)
     return now
+
+
+def _mistakes(arm: Arm, one: Reading, other: Reading) -> bool:
+    """Whether each scale that a hypothesis adds to another is a common mistake: that of a unit, or of the gear."""
+    return all(common_torque_scale(arm, i, abs(one.factor[i] / other.factor[i])) for i in other.differs(one))
 
 
 def _clearly(law: RigidLaw, one: Reading, other: Reading, factor: float) -> bool:
@@ -116,10 +127,13 @@ def _clearly(law: RigidLaw, one: Reading, other: Reading, factor: float) -> bool
 
 def _find_reading(case: Case, law: RigidLaw, declared: Reading, best: Reading) -> None:
     before, after = law.score(declared), law.score(best)
+    seen = max(law.with_rows, key=lambda i: before.share[i] / after.share[i])
     for i in declared.differs(best):
+        shown = i if before.share[i] > limits.AUDIT_SURE.value * after.share[i] else seen
         evidence = (
-            f"the law of the whole arm leaves {100 * after.share[i]:.2g} % of this torque unexplained, and "
-            f"{100 * before.share[i]:.2g} % as the arm file says"
+            f"the law of the whole arm leaves {100 * after.share[shown]:.2g} % of "
+            f"{'this torque' if shown == i else case.name('tau', shown)} unexplained, and "
+            f"{100 * before.share[shown]:.2g} % as the arm file says"
         )
         name, factor, angle = case.name("tau", i), best.factor[i], best.angle[i]
         if angle < 0.0:
@@ -141,31 +155,53 @@ def _find_reading(case: Case, law: RigidLaw, declared: Reading, best: Reading) -
             find_torque_scale(case, i, abs(factor), evidence)
 
 
-def _gain(late: Delay) -> float:
+def _gain(late: Delay, rows: Sequence[int]) -> float:
     """By how much the logarithm of the residuals of all joints falls without a delay."""
-    return len(late.group.columns) * math.log(late.ratio)
+    return len(_shows(late.group, rows)) * math.log(late.ratio)
+
+
+def _shows(group: Group, rows: Sequence[int]) -> Sequence[int]:
+    """The joints whose torques show a delay of a group."""
+    return group.columns if group.kind == "tau" else rows
 
 
 def _delay(case: Case, law: RigidLaw, kept: Reading, use: list[int], broken: set[int]) -> Delay | None:
-    """The delay of all torques or of one that explains most, if the law closes without it."""
-
-    @cache
-    def moved(periods: float) -> RigidLaw:
-        return RigidLaw(case.arm, shifted(law.cycles, Group("tau", tuple(range(case.arm.n))), periods), broken)
-
+    """The delay of all torques, of one, or of one angle that explains most, if the law closes without it."""
     rows = [i for i in use if i in law.with_rows]
     found: list[Delay] = []
-    for group in groups(rows, gyro=False):
+    torques = groups(rows, gyro=False)
 
-        def left(periods: float, block: int | None, columns: tuple[int, ...] = group.columns) -> float:
-            """The geometric mean of the shares that are left of the torques of a group."""
-            share = law.taking(kept, moved(periods), columns, block).score(kept).share
-            return float(np.exp(np.mean(np.log(share[list(columns)]))))
+    @cache
+    def moved(group: Group, periods: float) -> RigidLaw:
+        return RigidLaw(case.arm, shifted(law.cycles, group, periods), broken)
 
-        own = find_delay(group, left, left(0.0, None), case.arm.period_s)
-        if own is not None and _closes(law.taking(kept, moved(own.periods), group.columns, None), kept, use):
-            found.append(own)
-    return max(found, key=_gain, default=None)
+    for group in torques:
+        found += _own_delay(law, kept, group, rows, partial(moved, torques[0]))
+    angles = [Group("theta", (i,)) for i in rows] if len(rows) > 1 else []
+    if len(rows) > _FEW:
+        # a late angle makes torques seem early
+        late = max(found, key=lambda one: _gain(one, rows), default=None)
+        angles = [min(angles, key=lambda group: moved(group, -late.periods).score(kept).total)] if late else []
+    for group in angles:
+        found += _own_delay(law, kept, group, rows, partial(moved, group))
+    return max(found, key=lambda one: _gain(one, rows), default=None)
+
+
+def _own_delay(
+    law: RigidLaw, kept: Reading, group: Group, rows: Sequence[int], moved: Callable[[float], RigidLaw]
+) -> list[Delay]:
+    """The delay of a group, if there is one without which the law closes. moved: the law without so many periods."""
+
+    def taken(periods: float, block: int | None) -> RigidLaw:
+        return law.taking(kept, moved(periods), _shows(group, rows), block)
+
+    def left(periods: float, block: int | None) -> float:
+        """The geometric mean of the shares that are left of the torques that show the delay."""
+        share = taken(periods, block).score(kept).share
+        return float(np.exp(np.mean(np.log(share[list(_shows(group, rows))]))))
+
+    own = find_delay(group, left, left(0.0, None), law.arm.period_s)
+    return [own] if own is not None and _closes(taken(own.periods, None), kept, rows) else []
 
 
 def _correct_delay(case: Case, law: RigidLaw, late: Delay, broken: set[int]) -> RigidLaw:
@@ -184,7 +220,7 @@ def _correct_delay(case: Case, law: RigidLaw, late: Delay, broken: set[int]) -> 
 def _torque_law(case: Case, late: Delay) -> TorqueLaw | None:
     """The torque law under which torques are not late; None where there is none."""
     arm = case.arm
-    if arm.torque_averaged or len(late.group.columns) < arm.n:
+    if arm.torque_averaged or late.group.kind != "tau" or len(late.group.columns) < arm.n:
         return None
     acts = TORQUE_LATE[arm.torque_law] - late.periods
     law = min(TORQUE_LATE, key=lambda one: abs(TORQUE_LATE[one] - acts))

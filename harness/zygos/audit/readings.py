@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import welch
+from scipy.signal import spectrogram
 
 from zygos import limits
 from zygos.audit.means import Array
@@ -53,28 +53,31 @@ def noise_level(readings: Array, ranges: Sequence[tuple[int, int]]) -> float:
 
 _SPAN, _BANDS = 64, 6
 """Cycles of a span of the spectrum, and its bands from an eighth of the sampling rate to half of it."""
+_QUIET = 0.25
+"""Share of the spans that are not louder than the noise; densities of white noise are distributed exponentially."""
 
 
 def white_noise(readings: Array, ranges: Sequence[tuple[int, int]]) -> float:
     """Standard deviation of white noise that readings can have at most: their smallest density in any band.
 
     Motion and vibration are in some bands and not in others; white noise is alike in all of them. The spectrum is that
-    of the fourth differences, divided by their response, so that the motion does not leak into it (Welch's method, with
-    medians). A run that is too short for it has its `noise_level`.
+    of the fourth differences, divided by their response, so that the motion does not leak into it. The density is that
+    of the quietest quarter of the spans, since the others may hold a fast motion. A run that is too short has its
+    `noise_level`.
     """
-    densities, weights = [], []
+    spans = []
     for a, b in ranges:
         if b - a < _SPAN + 4:
             continue
-        frequency, density = welch(
-            np.diff(readings[a:b], 4), nperseg=_SPAN, detrend=False, average="median", window="hann"
+        frequency, _, density = spectrogram(
+            np.diff(readings[a:b], 4), nperseg=_SPAN, noverlap=_SPAN // 2, detrend=False, window="hann"
         )
-        densities.append(density)
-        weights.append(b - a)
-    if not densities:
+        spans.append(density)
+    if not spans:
         return noise_level(readings, ranges)
     kept = np.flatnonzero((frequency >= 0.125) & (frequency < 0.5))
-    density = np.average(densities, axis=0, weights=weights)[kept] / (2.0 * np.sin(math.pi * frequency[kept])) ** 8
+    quiet = np.quantile(np.hstack(spans)[kept], _QUIET, axis=1) / -math.log1p(-_QUIET)
+    density = quiet / (2.0 * np.sin(math.pi * frequency[kept])) ** 8
     return math.sqrt(0.5 * min(float(np.mean(density[band])) for band in np.array_split(np.arange(len(kept)), _BANDS)))
 
 

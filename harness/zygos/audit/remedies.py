@@ -185,20 +185,36 @@ def scaled(arm: Arm, kind: Kind, i: int, factor: float) -> Remedy:
     return Remedy(text, (setting,))
 
 
-def gear_ratio(arm: Arm, i: int, factor: float) -> Remedy:
-    """Of a torque before the gear that has to be multiplied by a factor."""
-    setting = _in_arm(arm, "tau", i, "gear_ratio", float(f"{arm.joints[i].gear_ratio * factor:.4g}"))
-    return Remedy(
-        f"{setting} of the joint, or the unit or the torque constant where the torque is measured", (setting,)
-    )
+INVERSE = "; if the torque of the other joint is wrong instead, the inverse factor there"
 
 
-def behind_gear(arm: Arm, i: int) -> Remedy:
-    """Of a torque that is larger than one before the gear by the gear ratio. Between two joints, the law does not say
-    which of the two torques is the wrong one."""
-    setting = _in_map(arm, "tau", i, "at", "output")
-    other = '; if the other joint has the wrong side instead, at = "rotor" of its torque' if arm.n == 2 else ""
-    return Remedy(f"measured behind the gear: {_of_map(setting)}{other}", (setting,))
+def other_side(arm: Arm, i: int, factor: float) -> bool:
+    """Whether a torque that has to be multiplied by this factor is measured on the other side of its gear."""
+    ratio = float(arm.joints[i].gear_ratio)
+    wanted = 1.0 / ratio if arm.torque_at == "rotor" else ratio
+    off = limits.SCALE_OFF.value
+    return ratio > off**2 and abs(math.log(factor / wanted)) <= math.log(off)
+
+
+def torque_scale(arm: Arm, i: int, factor: float) -> Remedy:
+    """Of a torque that has to be multiplied by a factor which is no unit's. Of two joints, the law does not say which
+    of the torques is the wrong one."""
+    if not other_side(arm, i, factor):
+        if arm.torque_at == "joint":
+            setting = _in_map(arm, "tau", i, "scale", float(f"{factor:.4g}"))
+            text = f"{_of_map(setting)}, or the unit where the torque is measured"
+        else:
+            setting = _in_arm(arm, "tau", i, "gear_ratio", float(f"{arm.joints[i].gear_ratio * factor:.4g}"))
+            text = f"{setting} of the joint, or the unit or the torque constant where the torque is measured"
+        other = INVERSE
+    elif arm.torque_at == "joint":
+        setting = _in_map(arm, "tau", i, "scale", float(arm.joints[i].gear_ratio))
+        text, other = f"measured before the gear: {_of_map(setting)}", INVERSE
+    else:
+        setting = _in_map(arm, "tau", i, "at", "output")
+        text = f"measured behind the gear: {_of_map(setting)}"
+        other = '; if the other joint has the wrong side instead, at = "rotor" of its torque'
+    return Remedy(text + (other if arm.n == 2 else ""), (setting,))
 
 
 def wraps(arm: Arm, kind: Kind, i: int, modulo: float) -> Remedy:

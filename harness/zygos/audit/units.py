@@ -106,17 +106,16 @@ def find_torque_scale(case: Case, i: int, factor: float, evidence: str) -> None:
     if unit is not None:
         find_scale(case, "tau", i, unit, evidence)
         return
-    behind = behind_gear(case.arm, i, factor)
-    remedy = remedies.behind_gear(case.arm, i) if behind else remedies.gear_ratio(case.arm, i, factor)
-    case.find(case.name("tau", i), f"scaled by {1.0 / factor:.4g}", evidence, remedy)
+    case.find(
+        case.name("tau", i), f"scaled by {1.0 / factor:.4g}", evidence, remedies.torque_scale(case.arm, i, factor)
+    )
 
 
-def behind_gear(arm: Arm, i: int, factor: float) -> bool:
-    """Whether a torque that is read as one before the gear, and has to be multiplied by this factor, is measured behind
-    it."""
-    ratio = float(arm.joints[i].gear_ratio)
-    known = [Scale(1.0 / ratio)] if arm.torque_at == "rotor" and ratio > limits.SCALE_OFF.value**2 else []
-    return bool(known) and nearest(known, factor, limits.SCALE_OFF.value) is not None
+def common_torque_scale(arm: Arm, i: int, factor: float) -> bool:
+    """Whether a factor by which a torque has to be multiplied is that of a unit or of the other side of its gear."""
+    units = [Scale(own) for own in FACTORS[quantity(arm, "tau")].values()]
+    within = limits.SCALE_OFF.value
+    return nearest(units, factor, within) is not None or remedies.other_side(arm, i, factor)
 
 
 def stretches(cycles: Cycles) -> list[tuple[int, int]]:
