@@ -22,9 +22,42 @@ from zygos.telemetry.drives import profiles, read_drives
 URDF = ROOT / "examples" / "openarm" / "openarm.urdf"
 
 
-def decoded(drive: str, node: int, *frames: can.Message) -> tuple[float, float]:
+SI = {"rad": 1.0, "turn": 2 * math.pi, "Nm": 1.0, "mNm": 1e-3}
+EDS = """[FileInfo]
+FileName=drive.eds
+[6076]
+ParameterName=Motor rated torque
+DefaultValue=0
+ParameterValue=1250
+[608F]
+SubNumber=3
+[608Fsub1]
+DefaultValue=65536
+[608Fsub2]
+DefaultValue=1
+[1800sub1]
+DefaultValue=$NODEID+0x40000180
+[1A00sub0]
+DefaultValue=3
+[1A00sub1]
+DefaultValue=0x60410010
+[1A00sub2]
+DefaultValue=0x60640020
+[1A00sub3]
+DefaultValue=0x60770010 ; torque actual value
+[1801sub1]
+DefaultValue=0x80000280
+[1A01sub0]
+DefaultValue=1
+[1A01sub1]
+DefaultValue=0x60640020
+"""
+"""Of a drive that sends position and torque in one frame; a second one is switched off."""
+
+
+def decoded(drive: str, node: int, *frames: can.Message, eds: tuple[Path, ...] = ()) -> tuple[float, float]:
     """Angle in rad and torque in Nm that the profile reads from frames of one node."""
-    drives = read_drives(drive, str(node))
+    drives = read_drives(drive, str(node), eds)
     dictionary = drives.dictionary()
     found = {}
     for kind in ("motor", "torque"):
@@ -37,7 +70,7 @@ def decoded(drive: str, node: int, *frames: can.Message) -> tuple[float, float]:
             == (message.frame_id & ~dictionary.ignored_bits, message.is_extended_frame)
         ]
         value: Any = message.decode(bytes(frame.data))
-        found[kind] = value[signal.name] * entry.get("scale", 1.0) * (2 * math.pi if entry["unit"] == "turn" else 1.0)
+        found[kind] = value[signal.name] * entry.get("scale", 1.0) * SI[entry["unit"]]
     return found["motor"], found["torque"]
 
 
@@ -84,11 +117,79 @@ def test_moteus(node: int, extended: bool) -> None:
     assert found == pytest.approx((0.5 * math.pi, 1.75))
 
 
-def test_every_profile_says_what_it_is() -> None:
+def written(folder: Path, **changed: str) -> Path:
+    """The EDS, with other lines in the place of some: a section and its value."""
+    text = EDS
+    for section, value in changed.items():
+        text += f"[{section.removeprefix('_')}]\nParameterValue={value}\n"
+    path = folder / "drive.eds"
+    path.write_text(text)
+    return path
+
+
+def test_cia402(tmp_path: Path) -> None:
+    """TPDO1 is 0x180 + node (CiA 301); 16384 of 65536 increments are a quarter of a turn of the motor, and 500 per
+    mille of 1250 mNm are 0.625 Nm (CiA 402)."""
+    words = frame(0x183, struct.pack("<Hih", 0x0637, 16384, 500))
+    eds = written(tmp_path)
+    assert decoded("cia402", 3, words, eds=(eds,)) == pytest.approx((0.5 * math.pi, 0.625))
+    backwards = frame(0x183, struct.pack("<Hih", 0x0637, -16384, -500))
+    assert decoded("cia402", 3, backwards, eds=(eds,)) == pytest.approx((-0.5 * math.pi, -0.625))
+    drives = read_drives("cia402", "3,4", (eds,))
+    assert drives.entry(0, "motor")["side"] == "rotor" and drives.entry(0, "torque")["at"] == "rotor"
+    assert drives.described()[1] == "node 3, 4: steps of 0.0959 mrad and 1.25 mNm"
+    assert {one.frame_id for one in drives.dictionary().messages.values()} == {0x183, 0x184}
+
+
+def test_cia402_with_user_units_and_29_bits(tmp_path: Path) -> None:
+    """A DCF: degrees times 1000 behind a gear of 50 (0x6091, 0x6092), and objects in two frames, one of 29 bits."""
+    eds = written(
+        tmp_path, _1A00sub0="2", _1801sub1="0x20012300+$NODEID", _1A01sub1="0x60770010", _6091sub1="50", _6091sub2="1",
+        _6092sub1="360000", _6092sub2="1",
+    )  # fmt: skip
+    position = frame(0x183, struct.pack("<Hi", 0x0637, 90000))
+    torque = frame(0x12303, struct.pack("<h", -100), extended=True)
+    assert decoded("cia402", 3, position, torque, eds=(eds,)) == pytest.approx((0.5 * math.pi, -0.125))
+    assert read_drives("cia402", "3", (eds,)).entry(0, "motor")["side"] == "output"
+
+
+def test_cia402_with_a_second_encoder(tmp_path: Path) -> None:
+    """0x60E4:01 in the steps of 0x60E9 over 0x60EE is the angle of the link."""
+    eds = written(
+        tmp_path, _1801sub1="0x280+$NODEID", _1A01sub1="0x60E40120", _60E9sub1="0x100000", _60EEsub1="1"
+    )  # fmt: skip
+    drives = read_drives("cia402", "5", (eds,))
+    entry = drives.entry(0, "link")
+    message, signal = drives.dictionary().find(entry["signal"], "test")
+    value: Any = message.decode(struct.pack("<i", 0x40000))
+    assert message.frame_id == 0x285 and value[signal.name] * entry["scale"] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"_6076": "0"}, "the rated torque (0x6076, mNm), of which the torque is a share, has no value"),
+        ({"_608Fsub2": "0"}, "the steps of the position in a turn (0x6092, or 0x608F for increments) have no value"),
+        ({"_1A00sub0": "2"}, "no process data that node 1 sends have 0x6077"),
+        ({"_1800sub1": "0x80000181"}, "no process data that node 1 sends have 0x6064"),
+        ({"_1A00sub1": "what"}, '"what" is no number'),
+    ],
+)
+def test_cia402_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], changed: dict[str, str], said: str) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("(0.0) can0 181#0000000000000000\n")
+    eds, out = written(tmp_path, **changed), tmp_path / "out" / "run.npz"
+    assert run("convert", log, "--drive", "cia402", "--nodes", "1", "--eds", eds, "--arm", "a.toml", "-o", out) == 2
+    err = capsys.readouterr().err.replace("\n", " ")
+    assert said in err and "remedy: " in err
+
+
+def test_every_profile_says_what_it_is(tmp_path: Path) -> None:
     for name, profile in profiles().items():
-        assert {"title", "torque", "identifier", "source", "motor", "torque_entry"} <= set(profile), name
+        own = set() if "eds" in profile else {"motor", "torque_entry"}
+        assert {"title", "torque", "identifier", "source"} | own <= set(profile), name
         drive = f"{name}:{next(iter(profile['model']))}" if "model" in profile else name
-        lines = read_drives(drive, "1-2").described()
+        lines = read_drives(drive, "1-2", (written(tmp_path),) if "eds" in profile else ()).described()
         assert "the torque is current times" in lines[0]
         assert lines[1].startswith("node 1, 2: ")
 
@@ -117,6 +218,12 @@ def test_the_page_has_the_profiles() -> None:
         (("--drive", "damiao", "--nodes", "1-7", "--map", "map.toml"), "leave out --map"),
         (("--drive", "damiao", "--nodes", "1-7", "--arm", "a.toml", "--urdf", URDF), "both describe the arm"),
         (("--nodes", "1-7"), "belongs to --drive"),
+        (("--eds", "drive.eds"), "belongs to --drive"),
+        (("--drive", "damiao", "--nodes", "1-7", "--eds", "drive.eds"), "the frames of damiao are known"),
+        (("--drive", "cia402", "--nodes", "1-7"), "give it with --eds"),
+        (("--drive", "cia402", "--nodes", "1-7", "--eds", "drive.eds"), "no such file"),
+        (("--drive", "cia402", "--nodes", "1-3", "--eds", URDF, "--eds", URDF), "2 files for 3 nodes"),
+        (("--drive", "cia402", "--nodes", "1-7", "--eds", URDF), "not an EDS or DCF"),
     ],
 )
 def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[Any, ...], said: str) -> None:

@@ -303,12 +303,20 @@ def command(
         str | None,
         typer.Option(
             metavar="NAME[:MOTOR,...]",
-            help="Drives whose frames zygos knows, in place of --dbc and --map: damiao, cubemars, robstride, odrive or "
-            "moteus, with the name of the motor, or of the motor of each node.",
+            help="Drives whose frames zygos knows, in place of --dbc and --map: damiao, cubemars, robstride, odrive, "
+            "moteus or cia402, with the name of the motor, or of the motor of each node.",
         ),
     ] = None,
     nodes: Annotated[
         str | None, typer.Option(metavar="1-7", help="With --drive: the node of each joint, from the base on.")
+    ] = None,
+    eds: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--eds",
+            metavar="DRIVE.eds",
+            help="With --drive cia402: the EDS or DCF of the drives, or that of each node in turn.",
+        ),
     ] = None,
     urdf: Annotated[
         Path | None,
@@ -337,7 +345,7 @@ def command(
 
     Example: zygos convert run.log --drive damiao --nodes 1-7 --urdf arm.urdf -o run.npz
     """
-    drives = _drives(drive, nodes, arm, urdf)
+    drives = _drives(drive, nodes, eds or (), arm, urdf)
     with TemporaryDirectory() as folder:
         if drives and urdf:
             arm = Path(folder, "arm.toml")
@@ -347,18 +355,20 @@ def command(
         convert_run(source, dbc or [], map_file, arm, out, json, drives)
 
 
-def _drives(drive: str | None, nodes: str | None, arm: Path | None, urdf: Path | None) -> Drives | None:
+def _drives(
+    drive: str | None, nodes: str | None, eds: Sequence[Path], arm: Path | None, urdf: Path | None
+) -> Drives | None:
     """The drives that the options name."""
     if drive is None:
-        if nodes or urdf:
-            given = "--nodes" if nodes else "--urdf"
+        if nodes or eds or urdf:
+            given = "--nodes" if nodes else "--eds" if eds else "--urdf"
             raise ZygosError(f"{given} belongs to --drive; remedy: name the drives, or leave it out")
         return None
     if nodes is None:
         raise ZygosError(f"--drive {drive} needs the nodes; remedy: add for instance --nodes 1-7")
     if arm and urdf:
         raise ZygosError("--arm and --urdf both describe the arm; remedy: give one of them")
-    return read_drives(drive, nodes)
+    return read_drives(drive, nodes, eds)
 
 
 def _arm_of(urdf: Path, drives: Drives) -> str:

@@ -45,7 +45,7 @@ class Drives:
         return profiles()[self.name]
 
     def entry(self, index: int, kind: str) -> dict[str, Any]:
-        """The entry of the map for a joint (from 0). kind: motor or torque."""
+        """The entry of the map for a joint (from 0). kind: motor, torque, or, where the drives have it, link."""
         profile = self.profile
         entry = dict(profile["torque_entry" if kind == "torque" else kind])
         message = f"{entry.pop('message', 'Drive')}{self.nodes[index]}"
@@ -90,10 +90,10 @@ class Drives:
                 f"--nodes names {len(self.nodes)} drives, but arm {arm.name} has {len(arm.joints)} joints; remedy: "
                 "name the node of each joint, from the base on"
             )
-        joints = [
-            {"name": joint.name, "motor": self.entry(i, "motor"), "torque": self.entry(i, "torque")}
-            for i, joint in enumerate(arm.joints)
-        ]
+        joints: list[dict[str, Any]] = []
+        for i, joint in enumerate(arm.joints):
+            kinds = ["motor", "torque", *(["link"] if joint.flexible and self.profile.get("eds") else [])]
+            joints.append({"name": joint.name} | {kind: self.entry(i, kind) for kind in kinds})
         time = {"source": "receive", "interpolation": "cubic"}
         return map_of({"time": time, "joint": joints}, f"drive {self.name}", arm, "log")
 
@@ -131,21 +131,21 @@ class Drives:
     def described(self) -> list[str]:
         """A line for each kind of motor: what its torque is, and how coarse its steps are."""
         lines = [f"{self.profile['title']}: the torque is {self.profile['torque']}"]
-        for model in dict.fromkeys(self.models or ("",)):
-            places = [i for i in range(len(self.nodes)) if not model or self.models[i] == model]
-            index, nodes = places[0], [self.nodes[i] for i in places]
+        alike: dict[str, list[str]] = {}
+        for index, node in enumerate(self.nodes):
             angle, torque = self.step(index, "motor"), self.step(index, "torque")
             steps = (
                 "angle and torque in floating point"
                 if angle is None or torque is None
                 else f"steps of {1e3 * angle:.3g} mrad and {1e3 * torque:.3g} mNm"
             )
-            lines.append(f"node {', '.join(map(str, nodes))}: {f'{model}, ' if model else ''}{steps}")
-        return lines
+            alike.setdefault(f"{self.models[index]}, {steps}" if self.models else steps, []).append(str(node))
+        return lines + [f"node {', '.join(nodes)}: {text}" for text, nodes in alike.items()]
 
 
-def read_drives(drive: str, nodes: str) -> Drives:
-    """The drives that --drive NAME[:MODEL,...] and --nodes 1-7 name. Errors: ZygosError naming option and remedy."""
+def read_drives(drive: str, nodes: str, eds: Sequence[Path] = ()) -> Drives:
+    """The drives that --drive NAME[:MODEL,...], --nodes 1-7 and --eds name. Errors: ZygosError naming option and
+    remedy."""
     name, _, models = drive.partition(":")
     known = profiles()
     if name not in known:
@@ -170,6 +170,16 @@ def read_drives(drive: str, nodes: str) -> Drives:
     for model in chosen:
         if model not in motors:
             raise ZygosError(f'--drive {drive}: no motor "{model}"; remedy: {closest(model, motors, "motors")}')
+    if bool(eds) != bool(profile.get("eds")):
+        raise ZygosError(
+            f"--drive {name}: what its drives send is in their EDS or DCF; remedy: give it with --eds"
+            if not eds
+            else f"--eds: the frames of {name} are known; remedy: leave it out"
+        )
+    if eds:
+        from zygos.telemetry.canopen import CanopenDrives, devices_of  # noqa: PLC0415  (is built on this module)
+
+        return CanopenDrives(name, numbers, (), devices_of(eds, numbers))
     if len(chosen) == 1:
         chosen *= len(numbers)
     if chosen and len(chosen) != len(numbers):
