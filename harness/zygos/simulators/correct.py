@@ -26,7 +26,9 @@ Array = NDArray[np.float64]
 
 _PRECISIONS = (1e1, 1e2, 1e3, 1e4)
 """Weights, step by step, of an error of all torques in units of their size, beside a body that is e times another."""
-_UPPER = np.triu_indices(3)
+_STEPS = 200
+"""Most evaluations for each of these weights."""
+_UPPER, _BELOW = np.triu_indices(3), np.tril_indices(4, -1)
 _THINNEST = 1e-4
 """Smallest eigenvalue of a body's matrix in the coordinates, as a share of its diagonal."""
 _UNCHANGED = 1e-6
@@ -123,7 +125,12 @@ def _nearest(robot: Robot, arm: Arm, rotors: Array, target: Array, root: Array) 
             def residual(y: Array, weight: float = weight) -> Array:
                 return np.concatenate([weight * root @ (values(y) - target), y])
 
-            y = least_squares(residual, y, method="lm", xtol=1e-10, ftol=1e-10, max_nfev=40 * (size + 1)).x
+            def jacobian(y: Array, weight: float = weight) -> Array:
+                own = [_change(factor, one) for factor, one in zip(factors, y.reshape(-1, 10), strict=True)]
+                moved = [slope[:, 10 * k : 10 * k + 10] @ one for k, one in enumerate(own)]
+                return np.vstack([weight * root @ np.hstack(moved), np.eye(size)])
+
+            y = least_squares(residual, y, jacobian, method="lm", xtol=1e-10, ftol=1e-10, max_nfev=_STEPS).x
     lumps = [
         owner.own if np.max(np.abs(x)) <= _UNCHANGED else Lump.of(own)
         for owner, own, x in zip(robot.owners, standard(y).reshape(-1, 10), y.reshape(-1, 10), strict=True)
@@ -184,12 +191,27 @@ def _factor(own: Lump) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
-def _moved(factor: Array, y: Array) -> Array:
-    """(4, 4) a body's matrix at coordinates (10,), which are 0 at the factor."""
+def _lower(y: Array) -> Array:
+    """(4, 4) by which coordinates (10,) multiply a factor; they are 0 at the factor itself."""
     lower = np.diag(np.exp(y[:4]))
-    lower[np.tril_indices(4, -1)] = y[4:]
-    root = factor @ lower
+    lower[_BELOW] = y[4:]
+    return lower
+
+
+def _moved(factor: Array, y: Array) -> Array:
+    """(4, 4) a body's matrix at coordinates (10,)."""
+    root = factor @ _lower(y)
     return np.asarray(root @ root.T, dtype=np.float64)
+
+
+def _change(factor: Array, y: Array) -> Array:
+    """(10, 10) by how much the standard parameters of a body change with its coordinates."""
+    lower = _lower(y)
+    entries = np.zeros((10, 4, 4))
+    entries[range(4), range(4), range(4)] = np.diag(lower)
+    entries[(range(4, 10), *_BELOW)] = 1.0
+    half = factor @ entries @ (factor @ lower).T
+    return np.array([_of_matrix(one + one.T) for one in half]).T
 
 
 def _of_matrix(matrix: Array) -> Array:
