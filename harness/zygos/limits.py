@@ -449,6 +449,8 @@ SURE_SCALE = Limit("sure scale", 8.0, "1", "trial",
     "a double pendulum 5.6 times.")
 SCALE_OFF = Limit("scale off", 1.2, "1", "trial",
     "A scale is reported if it is off by more than that factor.")
+WEIGHED = Limit("weighed", 0.05, "1", "convention",
+    "Largest standard deviation, as a share, of a torque's scale against the masses of a simulation.")
 AUDIT_CLOSES = Limit("audit closes", 0.4, "1", "trial",
     "Largest share of each torque that the law of the whole rigid arm leaves unexplained after a reported change. A "
     "simulated arm of seven joints leaves 0.003 to 0.09, a real pendulum of two joints 0.05 to 0.31.")

@@ -14,6 +14,7 @@ import pytest
 from cli_support import run
 from mcap.writer import CompressionType, Writer
 from runs_support import trajectory_of
+from telemetry_support import drawn_signals
 
 from conftest import EXAMPLE, ROOT, need
 from zygos.arm import Arm, load_arm
@@ -373,3 +374,29 @@ def test_messages_without_time_are_counted(recorded: Cycles, tmp_path: Path) -> 
     source = write(tmp_path / "my.mcap", recorded, stamp=lambda k: 0 if k == 7 else stamped(k))
     assert convert(source, tmp_path / "a" / "run.npz", "--json", tmp_path / "c.json") == 0
     assert json.loads((tmp_path / "c.json").read_text())["left_out"]["messages without time"] == 3
+
+
+def test_signals_for_programs_that_draw_them(
+    recorded: Cycles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The decoder of the package mcap-ros2-support reads back what was written, with units."""
+    source, out, drawn = write(tmp_path / "my.mcap", recorded), tmp_path / "out" / "run.npz", tmp_path / "drawn.mcap"
+    assert convert(source, out, "--mcap", drawn) == 0
+    arm = load_arm(out.parent / "arm.toml")
+    cycles = read_cycles(out, arm)
+    messages, units = drawn_signals(drawn)
+    assert units == {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
+    assert set(messages) == {"/measured/joint_states", "/measured/motor_states"}
+    times, states = zip(*messages["/measured/joint_states"], strict=True)
+    assert len(states) == len(cycles) and np.diff(times) == pytest.approx(arm.period_s * 1e9)
+    assert states[0].name == ["shoulder", "elbow"] and list(states[0].velocity) == []
+    signs, zeros = (
+        np.array([getattr(joint.link_encoder, key) for joint in arm.joints]) for key in ("sign", "zero_rad")
+    )
+    angles = np.array([state.position for state in states])
+    np.testing.assert_allclose(angles, signs * (cycles.q - zeros), atol=1e-12)
+    ratios = np.array([joint.gear_ratio for joint in arm.joints])
+    efforts = np.array([state.effort for state in states])
+    np.testing.assert_allclose(efforts[1:-1], (ratios * cycles.tau)[1:-1], atol=1e-9)
+    assert convert(source, out, "--mcap", tmp_path / "drawn.bag") == 2
+    assert "give it the suffix .mcap" in capsys.readouterr().err

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from cli_support import run
+from telemetry_support import drawn_signals
 
 from conftest import ROOT
 from zygos.demo.real import learn_pendulum
@@ -403,7 +404,7 @@ def test_friction_of_another_engine_is_found_from_plain_tables(
         write_columns(tmp_path / f"{seed}.npz", flown(plant, seed))
     code = run(
         "explain", "--simulation", cad, "--measured", tmp_path / "0.npz", tmp_path / "1.npz",
-        "--validate", tmp_path / "2.npz", "-o", tmp_path / "new.xml",
+        "--validate", tmp_path / "2.npz", "-o", tmp_path / "new.xml", "--mcap", tmp_path / "gap.mcap",
     )  # fmt: skip
     said = capsys.readouterr()
     assert code == 0, said.out + said.err
@@ -422,3 +423,9 @@ def test_friction_of_another_engine_is_found_from_plain_tables(
         tree = mujoco.MjModel.from_xml_path(str(tmp_path / name))
         assert tree.dof_frictionloss == pytest.approx([0.1, 0.1], abs=0.01), name
         assert tree.dof_damping == pytest.approx([0.03, 0.03], abs=0.006), name
+    drawn, _ = drawn_signals(tmp_path / "gap.mcap")
+    measured, simulated, corrected = (
+        np.array([message.effort for _, message in drawn[f"/2_npz/{which}/joint_states"]])
+        for which in ("measured", "simulated", "corrected")
+    )
+    assert np.std(corrected - measured) < 0.3 * np.std(simulated - measured)

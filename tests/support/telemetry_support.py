@@ -8,10 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import can
 import cantools
 import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
 from conftest import ROOT
@@ -81,3 +84,14 @@ def edited(path: Path, out: Path, *changes: tuple[str, str]) -> Path:
         text = text.replace(old, new)
     out.write_text(text)
     return out
+
+
+def drawn_signals(path: Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[str, str]]:
+    """Times in ns and messages of each topic of an MCAP, as the decoder of its own package reads them, and units."""
+    messages: dict[str, list[tuple[int, Any]]] = {}
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, record, message in reader.iter_decoded_messages():
+            messages.setdefault(channel.topic, []).append((record.log_time, message))
+        (units,) = reader.iter_metadata()
+    return messages, units.metadata

@@ -10,7 +10,9 @@ from zygos.audit.auditor import audit
 from zygos.audit.findings import Audit, Signal, SignalFault
 from zygos.audit.sections import as_json
 from zygos.audit.traffic import traffic_of
+from zygos.audit.weights import beside_masses, weights
 from zygos.can.run import Run
+from zygos.model.model import Model
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,12 +59,17 @@ class ArmCheck:
         return "\n".join(lines)
 
 
-def check_arm(run: Run, *, progress: Callable[[float], None] | None = None) -> ArmCheck:
+def check_arm(
+    run: Run, *, simulation: Model | None = None, progress: Callable[[float], None] | None = None
+) -> ArmCheck:
     """Check whether a run agrees with the description of its arm: finds signals that are swapped, inverted, scaled,
     stuck or skewed, and gives the numbers that show it. No model is needed.
 
+    simulation: a model given by bodies, whose masses say how large the torques of an arm on the ground have to be.
     progress is called now and then with the share that is done. Errors: ZygosError if the run has another number of
-    joints than its arm.
+    joints than its arm; with a simulation, as `zygos.audit.weights.weights`.
     """
+    weighed = None if simulation is None else weights(run, simulation)
     traffic = None if run.frames is None else traffic_of(run.arm, run.frames)
-    return ArmCheck(run, audit(run.arm, run.cycles, traffic, progress))
+    found = audit(run.arm, run.cycles, traffic, progress)
+    return ArmCheck(run, found if weighed is None else beside_masses(run, found, weighed))

@@ -55,8 +55,8 @@ _READING = (
 )
 
 
-def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
-    """The answer of an audit of a run. draw: with charts of the readings."""
+def answer_of(run: Run, found: Audit, *, draw: bool = False, weighed: bool = False) -> Answer:
+    """The answer of an audit of a run. draw: with charts of the readings. weighed: masses were used."""
     arm, cycles = run.arm, run.cycles
     at = thinned(len(cycles), _POINTS // (arm.n + 2))
     drawn = _charts(arm, cycles, at) if draw and len(cycles) else []
@@ -64,11 +64,8 @@ def answer_of(run: Run, found: Audit, *, draw: bool = False) -> Answer:
     accused = {finding.signal for finding in found.findings}
     lead = [Text(advice(found), "note", "Remedy")] if advice(found) else []
     lead += [Text(text, "note", "Warning") for text in run.damage]
-    lead.append(
-        Text(
-            f"{counted(len(cycles), 'cycle')} of {arm.period_s * 1000:g} ms were compared. No model was needed.", "lead"
-        )
-    )
+    known = "Torques were weighed against masses" if weighed else "No model was needed"
+    lead.append(Text(f"{counted(len(cycles), 'cycle')} of {arm.period_s * 1000:g} ms were compared. {known}.", "lead"))
     return Answer(
         about="a run beside its arm file",
         arm=arm.name,

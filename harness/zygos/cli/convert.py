@@ -15,10 +15,11 @@ from rich.progress import Progress
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli.options import Json, cuts, of_arm, of_map, of_runs
+from zygos.cli.options import Json, Mcap, cuts, of_arm, of_map, of_runs
 from zygos.cli.shared import not_whole, read_run, warn
 from zygos.errors import Undecided, ZygosError
 from zygos.files.inputs import local
+from zygos.files.mcap import check_mcap_name, write_mcap
 from zygos.files.output import check_outputs, counted, is_dash, note, number, say, table, write_json, write_text
 from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
@@ -48,6 +49,7 @@ from zygos.telemetry.grid import (
 )
 from zygos.telemetry.map import Dictionary, Input, Map, Recording, load_map, read_can, read_table
 from zygos.telemetry.of_run import run_map, run_recording, with_breaks
+from zygos.telemetry.published import measured
 from zygos.telemetry.ros import check_mcap, is_mcap, read_mcap
 
 
@@ -59,6 +61,7 @@ def convert_run(
     out: Path,
     json: str | None,
     drives: Drives | None = None,
+    mcap: Path | None = None,
 ) -> None:
     """Convert foreign telemetry; see `zygos convert --help`."""
     kind: Input = "mcap" if is_mcap(source) else "table" if is_table(source) else "log"
@@ -68,7 +71,7 @@ def convert_run(
         near = "the recording" if map_file is None else "the map"
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml next to {near}")
     beside = out.parent / "arm.toml"
-    check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
+    check_outputs([out, json, mcap], [source, *dbc, map_file, chosen, beside])
     arm = load_arm(chosen)
     # raises an error for an arm that the library refuses, before anything is read; on the ground any window will do
     Flight(receivable(arm) if arm.grounded else arm)
@@ -95,6 +98,8 @@ def convert_run(
         _, even = needed_rate([track.evened for track in found], arm, mapping) if needed != rate else (rate, needed)
         frames = None if is_table(out) else encode(described, with_time(cycles))
         write_run(out, cycles, frames, arm.period_s, text, chosen)
+        if mcap:
+            write_mcap(mcap, measured(described, cycles), {"effort": arm.unit("Nm")})
         refused = refused_share(described, cycles, frames)
     rows = signal_rows(samples, mended, found, cycles, described, noise)
     cutoff = arm.smoother.cutoff_hz
@@ -126,10 +131,7 @@ def convert_run(
         },
         "warnings": warnings,
     }
-    if json != "-":
-        _print(content)
-    if json:
-        write_json(json, content)
+    _tell(content, json)
     recorded = 1.0 / max(track.interval_s for track in found) if len(cycles) > 1 else rate
     faster = "shorten period_s of the arm file" if recorded > 1.2 * rate else "record faster"
     if recorded * SPARSE * arm.period_s < 1.0 and mapping.clock.kind in ("column", "signal"):
@@ -186,6 +188,13 @@ def _check_names(
         raise ZygosError("- cannot be the run, which needs its arm file next to it; remedy: give -o a file name")
     if not is_table(out):
         bus.check_log_name(out)
+
+
+def _tell(content: dict[str, Any], json: str | None) -> None:
+    if json != "-":
+        _print(content)
+    if json:
+        write_json(json, content)
 
 
 def _print(content: dict[str, Any]) -> None:
@@ -325,6 +334,7 @@ def command(
         ),
     ] = None,
     json: Json = None,
+    mcap: Mcap = None,
 ) -> None:
     """Convert telemetry of another system to a run.
 
@@ -346,13 +356,14 @@ def command(
     Example: zygos convert run.log --drive damiao --nodes 1-7 --urdf arm.urdf -o run.npz
     """
     drives = _drives(drive, nodes, eds or (), arm, urdf)
+    check_mcap_name(mcap)
     with TemporaryDirectory() as folder:
         if drives and urdf:
             arm = Path(folder, "arm.toml")
             write_text(arm, _arm_of(urdf, drives))
         if drives:
             note("\n".join(drives.described()))
-        convert_run(source, dbc or [], map_file, arm, out, json, drives)
+        convert_run(source, dbc or [], map_file, arm, out, json, drives, mcap)
 
 
 def _drives(

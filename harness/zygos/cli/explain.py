@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,10 +14,11 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import Run, check_distinct, find_arm, read_run
-from zygos.cli.options import ArmFile, Details, Json, cuts
+from zygos.cli.options import ArmFile, Details, Json, Mcap, cuts
 from zygos.cli.shared import Wanted, arm_beside, check_model_name, deliver, not_whole, save_corrected, warn
 from zygos.effects import estimated, laws
 from zygos.errors import Undecided, ZygosError
+from zygos.files.mcap import Topic, check_mcap_name, write_mcap
 from zygos.files.output import check_outputs, named, number
 from zygos.files.progress import progress
 from zygos.gap import sections
@@ -26,6 +28,7 @@ from zygos.gap.findings import undecided
 from zygos.gap.ground import sections as ground_sections
 from zygos.gap.ground.content import as_json as ground_json
 from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.predictions import run_name
 from zygos.gap.record import letter
 from zygos.gap.runs import check_arm_of_gap, check_keys, explain_runs, plan_next
 from zygos.model.model import load_model, save_model
@@ -81,6 +84,11 @@ def explain_run(
     planned: Planned | None = None,
 ) -> None:
     """Explain the gap between a simulation and measured runs; see `zygos explain --help`."""
+    check_mcap_name(wanted.mcap)
+    if wanted.mcap and len(measured) > 1 and not validate:
+        raise ZygosError(
+            f"{wanted.mcap}: the signals are those of an untouched run; remedy: keep one apart with --validate"
+        )
     with laws(*effects):
         check_keys(without)
         _explain_run(simulation, measured, validate, arm_file, out, wanted, command, without, planned)
@@ -107,7 +115,7 @@ def _explain_run(
     if planned is not None:
         check_model_name(planned.file)
     check_outputs(
-        [out, wanted.report, wanted.json, planned.file if planned is not None else None],
+        [out, wanted.report, wanted.json, wanted.mcap, planned.file if planned is not None else None],
         [path for _, path in inputs.files],
     )
     arm = load_arm(chosen)
@@ -125,6 +133,11 @@ def _explain_run(
     limits = limits_of(arm, *(planned.limits if planned is not None else (None, None, None)))
     if not arm.grounded:
         check_arm_of_gap(arm, str(chosen))
+        if wanted.mcap:
+            raise ZygosError(
+                f"{wanted.mcap}: only arms on the ground have predicted torques to draw, and {arm.name} floats or has "
+                "flexible joints; remedy: leave out --mcap, and draw the gap with --report"
+            )
     if model is not None:
         model.base_parameters(arm)
     with progress() as bar:
@@ -189,7 +202,7 @@ def _without_arm_file(
         find_arm(measured[0], arm_file)
     inputs = Inputs(simulation, None, tuple(measured), tuple(validate))
     check_new_name(out, simulation)
-    check_outputs([out, wanted.report, wanted.json], [path for _, path in inputs.files])
+    check_outputs([out, wanted.report, wanted.json, wanted.mcap], [path for _, path in inputs.files])
     robot, arm, runs = read_plain([*measured, *validate], simulation)
     robot = _for_output(robot, out, planned)
     warn(at_stops(robot, runs))
@@ -291,6 +304,24 @@ def beside(found: Explanation | GroundExplanation, flight: Sequence[dict[str, An
     return out
 
 
+def drawn(found: GroundExplanation) -> list[Topic]:
+    """Motion and torques of the untouched runs: measured, as the simulation was delivered, and with what was found.
+    Each predicted torque has the constant offset that it leaves."""
+    topics = []
+    for one in () if found.gap is None else found.gap.predictions:
+        kept = one.rows.kept
+        name = re.sub(r"\W", "_", run_name(one.run))
+        names = tuple(joint.name for joint in one.run.arm.joints)
+        torques = {"measured": one.rows.tau[kept]}
+        for which, score in (("simulated", one.delivered), ("corrected", one.closed)):
+            offset = np.nan_to_num([joint.offset_nm for joint in score.joints])
+            torques[which] = score.predicted + offset
+        for which, effort in torques.items():
+            place = f"/{name}/{which}/joint_states"
+            topics.append(Topic(place, names, one.closed.t, one.rows.state.q[kept], one.rows.state.qd[kept], effort))
+    return topics
+
+
 def finish(
     found: Explanation | GroundExplanation,
     logs: Sequence[Run],
@@ -328,6 +359,8 @@ def finish(
             return
         save_corrected(own, out)
 
+    if wanted.mcap and isinstance(found, GroundExplanation):
+        write_mcap(wanted.mcap, drawn(found), {"effort": found.arm.unit("Nm")})
     deliver(wanted, answer, content, source, out, save=None if model is None else save)
     if model is None:
         raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
@@ -386,6 +419,7 @@ def command(
         Path | None, typer.Option("--report", metavar="GAP.html", help="Also write a report, one HTML page.")
     ] = None,
     json: Json = None,
+    mcap: Mcap = None,
     next_motion: Annotated[
         Path | None,
         typer.Option(
@@ -441,7 +475,7 @@ def command(
         validate or (),
         arm,
         out,
-        Wanted(json, report, details),
+        Wanted(json, report, details, mcap),
         asked,
         effects or (),
         without or (),

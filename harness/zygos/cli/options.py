@@ -20,6 +20,14 @@ Report = Annotated[
     Path | None,
     typer.Option("--report", metavar="FILE.html", help="Also write a report, one HTML page."),
 ]
+Mcap = Annotated[
+    Path | None,
+    typer.Option(
+        "--mcap",
+        metavar="FILE.mcap",
+        help="Also write the signals as messages of ROS 2, for PlotJuggler, Foxglove or Rerun.",
+    ),
+]
 Details = Annotated[bool, typer.Option("--details", help="Print all tables, not only the verdict.")]
 
 

@@ -140,6 +140,8 @@ class Wanted:
     """File of the page."""
     details: bool = False
     """Whether all tables are printed."""
+    mcap: Path | None = None
+    """File of the signals."""
 
 
 def deliver(

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli.options import Bitrate, ChannelOption, Interface, Json
+from zygos.cli.options import Bitrate, ChannelOption, Interface, Json, Mcap
 from zygos.dynamics.equations import ENGINES
 from zygos.errors import ZygosError
+from zygos.files.mcap import check_mcap_name, write_mcap
 from zygos.files.output import (
     check_outputs,
     counted,
@@ -35,6 +36,7 @@ from zygos.model.model import load_model
 from zygos.native.flight import encode
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
+from zygos.telemetry.published import measured
 
 
 def simulate_run(
@@ -48,10 +50,12 @@ def simulate_run(
     channel: str | None,
     bitrate: int | None,
     json: str | None,
+    mcap: Path | None = None,
 ) -> None:
     """Simulate a scenario and record its traffic; see `zygos simulate --help`."""
     if not is_dash(out):
         bus.check_log_name(out)
+    check_mcap_name(mcap)
     chosen = next((name for name in ENGINES if name == engine), None)
     if chosen is None:
         raise ZygosError(f"there is no engine {engine!r}; remedy: use one of {', '.join(ENGINES)}")
@@ -59,7 +63,7 @@ def simulate_run(
     arm_file = scenario.arm
     arm = load_arm(arm_file)
     beside = None if is_dash(out) else out.parent / "arm.toml"
-    check_outputs([out, json], [scenario_file, arm_file, scenario.plant, model_file, beside])
+    check_outputs([out, json, mcap], [scenario_file, arm_file, scenario.plant, model_file, beside])
     if beside and beside.exists() and beside.read_bytes() != arm_file.read_bytes():
         raise ZygosError(
             f"{beside} describes a different arm than {arm_file}; remedy: write the run into another folder, or "
@@ -85,6 +89,8 @@ def simulate_run(
         bus.write_log(out, frames, arm.period_s)
         if beside and not beside.exists():
             write_bytes(beside, arm_file.read_bytes())
+        if mcap:
+            write_mcap(mcap, measured(arm, cycles), {"effort": arm.unit("Nm")})
         if wire is not None:
             send(wire, frames, arm, out)
     ranges = [
@@ -154,6 +160,7 @@ def command(
     channel: ChannelOption = None,
     bitrate: Bitrate = None,
     json: Json = None,
+    mcap: Mcap = None,
 ) -> None:
     """Simulate a run: plant, servo and sensors, recorded as CAN traffic.
 
@@ -163,4 +170,4 @@ def command(
 
     Example: zygos simulate examples/paper/scenario.toml -o out/run.blf
     """
-    simulate_run(scenario, out, model, seed, noise, engine, interface, channel, bitrate, json)
+    simulate_run(scenario, out, model, seed, noise, engine, interface, channel, bitrate, json, mcap)
