@@ -76,9 +76,10 @@ class RunRows:
         p, own = self.z.shape[-1], len(arm.parameter_names)
         out = np.zeros((arm.n, p + 2, p + 2))
         q = self.motion.smoothed.q[np.concatenate([self.rows.begin[every], self.rows.end[every]])]
-        for i in range(arm.n):
-            slope = momentum_of_rates(arm, q, np.broadcast_to(sigma[i] * np.eye(arm.n)[i], q.shape))
-            out[:, :own, :own] += np.einsum("mjp,mjq->jpq", slope, slope, optimize=True)
+        # the rates of all joints at once: single calls take long for a few increments
+        each = np.broadcast_to((sigma * np.eye(arm.n))[:, None], (arm.n, *q.shape))
+        slope = momentum_of_rates(arm, np.broadcast_to(q, each.shape), each).reshape(-1, arm.n, own)
+        out[:, :own, :own] = np.einsum("mjp,mjq->jpq", slope, slope, optimize=True)
         out *= len(increments) / max(len(every), 1)
         for joint, column in self.gains:
             own = len(increments) * self._impulse_noise[joint] ** 2
