@@ -59,7 +59,6 @@ class Corrected:
 def corrected(robot: Robot, arm: Arm, stage: Stage, rows: Sequence[TorqueRows]) -> Corrected:
     """The robot with the parameters and effects of a model. rows: of the runs, whose torques say what matters."""
     held, lost = kept_by(robot.format, arm, stage.effects)
-    ratio = arm.gear_ratios
     rotors = robot.rotors(arm)
     if robot.format == "MJCF" and arm.torque_at == "rotor":
         for k, parameter in enumerate(arm.parameters):
@@ -67,22 +66,39 @@ def corrected(robot: Robot, arm: Arm, stage: Stage, rows: Sequence[TorqueRows]) 
                 rotors[parameter.joint] = max(float(stage.values[k]), 0.0)
     lumps, values, left = _nearest(robot, arm, rotors, stage.values, _root(rows))
     armature = armatures(rotors, arm) if arm.torque_at == "rotor" else np.array([h.armature for h in robot.hinges])
-    friction, damping = np.zeros(arm.n), np.zeros(arm.n)
-    for one in held:
-        size = one.value * (float(ratio[one.index(arm)]) if one.kind.place == "motor" else 1.0)
-        (damping if one.kind.viscous else friction)[one.index(arm)] += size
+    drives = in_joints(arm, held)
     hinges = tuple(
         replace(
             hinge,
             armature=_same(hinge.armature, float(armature[j])),
-            friction=_same(hinge.friction, max(float(friction[j]), 0.0)),
-            damping=_same(hinge.damping, max(float(damping[j]), 0.0)),
+            friction=_same(hinge.friction, max(float(drives.friction[j]), 0.0)),
+            damping=_same(hinge.damping, max(float(drives.damping[j]), 0.0)),
         )
         for j, hinge in enumerate(robot.hinges)
     )
     owners = tuple(replace(owner, own=own) for owner, own in zip(robot.owners, lumps, strict=True))
     wanted = values if robot.format == "URDF" else stage.values
     return Corrected(replace(robot, hinges=hinges, owners=owners), wanted, held, lost, left)
+
+
+@dataclass(frozen=True)
+class InJoints:
+    """Effects as a file has them at N joints."""
+
+    friction: Array
+    """(N,) Nm."""
+    damping: Array
+    """(N,) Nms/rad."""
+
+
+def in_joints(arm: Arm, held: Sequence[Effect]) -> InJoints:
+    """Effects that a file holds, behind the gears. The coupling of a rotor is in its armature and the inertials."""
+    friction, damping = np.zeros(arm.n), np.zeros(arm.n)
+    for one in held:
+        if one.kind.place in ("motor", "link"):
+            size = one.value * (float(arm.gear_ratios[one.index(arm)]) if one.kind.place == "motor" else 1.0)
+            (damping if one.kind.viscous else friction)[one.index(arm)] += size
+    return InJoints(friction, damping)
 
 
 def _same(old: float, new: float) -> float:

@@ -5,10 +5,11 @@ is in the inertia of its link and, in MuJoCo, in an `armature` that is added to 
 inertia Im before a gear of ratio n, which the body before the joint carries. Its kinetic energy is that of
 
     link     + n Im a a'
-    carrier  - (n - 1) Im a a'
+    carrier  - (n - 1) Im a a' + Im (E - a a') / 2
     armature   (n^2 - n) Im
 
-with rigid joints (a: axis), exactly: Im (w a)^2 / 2 + n Im qd (w a) + n^2 Im qd^2 / 2 for a carrier that turns with w.
+with rigid joints (a: axis), exactly: Im (w a)^2 / 2 + n Im qd (w a) + n^2 Im qd^2 / 2 for a carrier that turns with w,
+and as a thin disc across its axis half as much as about it.
 """
 
 from __future__ import annotations
@@ -298,7 +299,8 @@ def unreflected(segments: Sequence[Array], rotors: Array, arm: Arm, hinges: Sequ
         about = np.outer(hinge.axis, hinge.axis)[_UPPER]
         out[i][4:] -= ratio * inertia * about
         if i > 0:
-            out[i - 1][4:] += (ratio - 1.0) * inertia * about
+            across = 0.5 * inertia * (np.eye(3)[_UPPER] - about)
+            out[i - 1][4:] += (ratio - 1.0) * inertia * about - across
     return out
 
 
