@@ -167,11 +167,9 @@ static bool values_fit(const zygos_config_t *config)
            within(config->forgetting_factor, 0.9, 1.0) && (config->compensation <= 2u * ZYGOS_MAX_JOINTS + 3u);
 }
 
-int zygos_config_check(const zygos_config_t *config)
+/* Checks what the others need to find their way in a configuration, and the base. */
+static int check_kind(const zygos_config_t *config)
 {
-    if (config == NULL) {
-        return ZYGOS_E_NULL;
-    }
     if (config->abi != ZYGOS_ABI) {
         return ZYGOS_E_ABI;
     }
@@ -181,8 +179,17 @@ int zygos_config_check(const zygos_config_t *config)
     if (config->kinetic > (uint32_t)ZYGOS_LAST_KINETIC) {
         return ZYGOS_E_KINETIC;
     }
-    if (!base_fits(config)) {
-        return ZYGOS_E_BASE;
+    return base_fits(config) ? 1 : ZYGOS_E_BASE;
+}
+
+int zygos_config_check(const zygos_config_t *config)
+{
+    if (config == NULL) {
+        return ZYGOS_E_NULL;
+    }
+    const int kind = check_kind(config);
+    if (kind < 0) {
+        return kind;
     }
     if (!within(config->period_s, 1e-5, 0.065)) {
         return ZYGOS_E_PERIOD;
@@ -714,13 +721,12 @@ static void forget(zygos_sums_t *sums)
     sums->forgetting[ZYGOS_JOINT_KIND] *= factor;
 }
 
-static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
+/* Calibrates a cycle. Returns whether its signals are used: link and motor angles may be too far apart. */
+static inline bool receive(zygos_arm_t *self, const zygos_cycle_t *cycle, double *signal, double *tau)
 {
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
     const bool follows = (self->cycles > 0) && (cycle->sync == self->sums.cycle + 1u) && !(cycle->flags & broken);
     const bool wrapped = follows && (zygos_cycle_wrapped(&self->previous, &self->sums.config, cycle) == 1);
-    double signal[ZYGOS_MAX_SIGNALS];
-    double tau[ZYGOS_MAX_JOINTS];
     zygos_cycle_calibrate(&self->previous, &self->sums.config, cycle, signal, tau);
     const bool apart = (zygos_cycle_apart(signal, self->sums.config.joints) == 1);
     self->wraps += wrapped ? 1u : 0u;
@@ -733,7 +739,14 @@ static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
     self->cycles++;
     forget(&self->sums);
     self->instant = 0;
-    if (apart) {
+    return !apart;
+}
+
+static void process_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
+{
+    double signal[ZYGOS_MAX_SIGNALS];
+    double tau[ZYGOS_MAX_JOINTS];
+    if (!receive(self, cycle, signal, tau)) {
         return;
     }
     zygos_balance_torque(&self->balance, &self->sums.config, tau);

@@ -152,6 +152,19 @@ static void compare_newest(const newest_t *self, zygos_change_t *out)
     }
 }
 
+/* Whether there are enough of them among all instants, and those that are held are whole. */
+static bool are_enough(const zygos_sums_t *sums, const newest_t *self, uint32_t width, double all)
+{
+    if (!(self->instants > 0.0) || !(all > 0.0)) {
+        return false;
+    }
+    if (zygos_joint_sums_suffice(&sums->config)) {
+        return sums->guard.changed != 0;
+    }
+    return (self->instants >= zygos_guard_enough(&sums->config, width - 1u)) &&
+           !(zygos_gram_check(self->gram, width, sums->guard.held.sum, HELD_ADDS) > 1.0);
+}
+
 /* Chooses the sums that are held of energy rows, or the segments of joint rows that were set aside, and shares out the
    declared noise of all. Returns whether there are enough of them. */
 static bool choose_newest(zygos_sums_t *sums, newest_t *self, zygos_change_t *out)
@@ -167,9 +180,7 @@ static bool choose_newest(zygos_sums_t *sums, newest_t *self, zygos_change_t *ou
     self->arcs = joints ? 0.0 : (double)sums->guard.held_arcs;
     self->torque_noise = joints ? zygos_joint_sums_torque_noise(&sums->joints, config) : 0.0;
     out->until = joints ? sums->guard.agreed : sums->guard.held_after;
-    const double least = joints ? 0.0 : zygos_guard_enough(config, width - 1u);
-    if (!(self->instants > 0.0) || (self->instants < least) || !(all > 0.0) || (joints && (sums->guard.changed == 0)) ||
-        (!joints && (zygos_gram_check(self->gram, width, sums->guard.held.sum, HELD_ADDS) > 1.0))) {
+    if (!are_enough(sums, self, width, all)) {
         return false;
     }
     const double *noise = joints ? sums->joints.noise.gram : sums->energy.noise_closed.gram;

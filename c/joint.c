@@ -282,6 +282,33 @@ static bool form_row(zygos_joint_t *self, const zygos_config_t *config, const zy
     return whole;
 }
 
+/* Adds the torque before a SYNC and what is refused to the sides of all joints. */
+static inline void add_impulses(const side_t *side, uint32_t n, const double *tau_before, double refused, bool ends)
+{
+    for (uint32_t j = 0; j < n; j++) {
+        for (uint32_t twin = 0; twin < 2u; twin++) {
+            side[0].of_joint[j][twin].impulse += tau_before[j];
+            side[0].of_joint[j][twin].refused += refused;
+            if (ends) { /* it is the first of the next half as well */
+                side[1].of_joint[j][twin].impulse = 0.0;
+                side[1].of_joint[j][twin].refused = refused;
+            }
+        }
+    }
+}
+
+/* What rows need of the instant at which a half ends. */
+static inline void keep_newest(zygos_joint_newest_t *newest, uint32_t n, const zygos_arm_state_t *state,
+                               const zygos_motion_t *motion, const double *tau_before, const double *tau)
+{
+    for (uint32_t j = 0; j < n; j++) {
+        newest->jump[j] = tau[j] - tau_before[j];
+        newest->torque_mean[j] = 0.5 * (tau[j] + tau_before[j]);
+    }
+    newest->state = *state;
+    newest->motion = *motion;
+}
+
 int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                     const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                     const double *tau_before, const double *tau, zygos_joint_row_t *out)
@@ -308,28 +335,12 @@ int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zyg
         { self->half[self->oldest], (left < 3u) ? beginning[2u - left] : 0.0, left == 2u },
     };
     integrate(config, column_map, geometry, state, motion, side, (left < 3u) ? 2u : 1u);
-    const double refused = 1.0 - state->accepted;
-    for (uint32_t j = 0; j < n; j++) {
-        for (uint32_t twin = 0; twin < 2u; twin++) {
-            side[0].of_joint[j][twin].impulse += tau_before[j];
-            side[0].of_joint[j][twin].refused += refused;
-            if (left == 0) { /* it is the first of the next half as well */
-                side[1].of_joint[j][twin].impulse = 0.0;
-                side[1].of_joint[j][twin].refused = refused;
-            }
-        }
-    }
+    add_impulses(side, n, tau_before, 1.0 - state->accepted, left == 0);
     if (left > 0) {
         return formed ? 1 : 0;
     }
     for (uint32_t twin = 0; twin < 2u; twin++) {
-        zygos_joint_newest_t *newest = &self->newest[twin];
-        for (uint32_t j = 0; j < n; j++) {
-            newest->jump[j] = tau[j] - tau_before[j];
-            newest->torque_mean[j] = 0.5 * (tau[j] + tau_before[j]);
-        }
-        newest->state = *state;
-        newest->motion = *motion;
+        keep_newest(&self->newest[twin], n, state, motion, tau_before, tau);
     }
     self->position = 0;
     self->oldest = after(self->oldest);
@@ -342,6 +353,16 @@ uint32_t zygos_joint_signals(const zygos_config_t *config)
 {
     const uint32_t base = (config->base != ZYGOS_BASE_FREE) ? 0u : (in_space(config) ? 3u : 1u);
     return config->joints + base;
+}
+
+/* How fast the rotor of a rigid joint turns with a signal, beside its own joint. */
+static double carried_by(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t joint, uint32_t signal,
+                         const double *axis)
+{
+    if (signal < config->joints) {
+        return (signal < joint) ? along(config, motion, signal, joint) : 0.0;
+    }
+    return in_space(config) ? product(axis, motion->axis[joint]) : 1.0;
 }
 
 void zygos_joint_derivative(const zygos_joint_t *self, const zygos_config_t *config,
@@ -377,9 +398,7 @@ void zygos_joint_derivative(const zygos_joint_t *self, const zygos_config_t *con
         if (i > joint) {
             *column = turns ? turned : 0.0;
         } else if ((i == joint) && rigid) {
-            const double carried = of_link ? ((signal < joint) ? along(config, motion, signal, joint) : 0.0)
-                                           : (in_space(config) ? product(axis, motion->axis[joint]) : 1.0);
-            *column = ratio * (((signal == joint) ? ratio : 0.0) + carried);
+            *column = ratio * (((signal == joint) ? ratio : 0.0) + carried_by(config, motion, joint, signal, axis));
         }
     }
 }

@@ -330,6 +330,13 @@ void zygos_kinematics(const zygos_geometry_t *self, const zygos_config_t *config
     }
 }
 
+/* A vector in the plane, or the one across it. */
+static inline void turned_by(bool skew, const double *x, double *out)
+{
+    out[0] = skew ? x[1] : x[0];
+    out[1] = skew ? -x[0] : x[1];
+}
+
 /* Pairs of bodies that joint i both carries turn together: only their rates tell of it. */
 static double *planar_slopes(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t i, double *by_angle,
                              double *by_rate)
@@ -343,11 +350,10 @@ static double *planar_slopes(const zygos_config_t *config, const zygos_motion_t 
             for (uint32_t b = a + skew; b <= n; b++) {
                 const double *v = motion->rate[a];
                 const double *d = motion->direction[a];
-                /* Products with the other's vectors, or with those across them. */
-                const double w[2] = { skew ? motion->rate[b][1] : motion->rate[b][0],
-                                      skew ? -motion->rate[b][0] : motion->rate[b][1] };
-                const double e[2] = { skew ? motion->direction[b][1] : motion->direction[b][0],
-                                      skew ? -motion->direction[b][0] : motion->direction[b][1] };
+                double w[2];
+                double e[2];
+                turned_by(skew != 0, motion->rate[b], w);
+                turned_by(skew != 0, motion->direction[b], e);
                 const double both = (a > i) ? d[0] * w[0] + d[1] * w[1] : 0.0;
                 const double later = v[0] * e[0] + v[1] * e[1];
                 const double turned = v[1] * w[0] - v[0] * w[1];

@@ -65,8 +65,19 @@ static void put_products(zygos_column_list_t *list, const zygos_config_t *config
     }
 }
 
+/* A motion that has nothing special, and the directions that a joint carries: from begin to before end. */
+static void fill_motion(uint32_t begin, uint32_t end, double (*others)[3], double (*carried)[3])
+{
+    for (uint32_t a = 0; a < ZYGOS_MAX_DIRECTIONS; a++) {
+        for (uint32_t k = 0; k < 3; k++) {
+            others[a][k] = 1.0 + (double)(3u * a + k * k);
+            carried[a][k] = ((a >= begin) && (a < end)) ? 1.0 : 0.0;
+        }
+    }
+}
+
 /* Kinetic columns that the rate of joint i is in, or that of the base for i = N, and of those the ones that its angle
-   is in. They are found at a motion that has nothing special. */
+   is in. */
 static void put_bodies(zygos_column_list_t *angle, zygos_column_list_t *rate, const zygos_config_t *config,
                        const zygos_column_map_t *column_map, uint32_t i)
 {
@@ -78,12 +89,7 @@ static void put_bodies(zygos_column_list_t *angle, zygos_column_list_t *rate, co
     double others[ZYGOS_MAX_DIRECTIONS][3];
     double carried[ZYGOS_MAX_DIRECTIONS][3];
     double column[ZYGOS_MAX_BODY] = { 0.0 };
-    for (uint32_t a = 0; a < ZYGOS_MAX_DIRECTIONS; a++) {
-        for (uint32_t k = 0; k < 3; k++) {
-            others[a][k] = 1.0 + (double)(3u * a + k * k);
-            carried[a][k] = ((a >= begin) && (a < size)) ? 1.0 : 0.0;
-        }
-    }
+    fill_motion(begin, size, others, carried);
     put_products(rate, config, column_map, (const double(*)[3])others, (const double(*)[3])carried, column);
     /* In a plane, what joint i carries turns together. */
     for (uint32_t a = begin; (a < ZYGOS_MAX_DIRECTIONS) && !space; a++) {

@@ -256,8 +256,36 @@ static void project(const zygos_propagation_t *self, uint32_t n, const zygos_pro
     }
 }
 
-/* The inertia matrix of base and joints with free rotors, as the factor L of L L'. Returns false where it is not
- * positive definite. */
+/* Replaces the inertia matrix by the factor L of L L', where rotors are free. Returns false where it is not positive
+ * definite. */
+static bool factorise_inertia(const zygos_dynamics_t *dynamics, uint32_t n, uint32_t size,
+                              zygos_propagation_work_t *work)
+{
+    for (uint32_t v = 0; v < size; v++) {
+        for (uint32_t u = 0; u <= v; u++) {
+            double sum = work->mass[v][u];
+            for (uint32_t i = 0; i < n; i++) {
+                sum -= dynamics->rotor[i] * work->along[i][v] * work->along[i][u];
+            }
+            for (uint32_t k = 0; k < u; k++) {
+                sum -= work->mass[v][k] * work->mass[u][k];
+            }
+            if (u < v) {
+                work->mass[v][u] = sum / work->mass[u][u];
+            } else if (sum > 0.0) {
+                work->mass[v][v] = __builtin_sqrt(sum);
+            } else {
+                return false;
+            }
+        }
+        if ((v < n) && !(dynamics->rotor[v] > 0.0)) {
+            return false;
+        }
+    }
+    return true;
+}
+
+/* The inertia matrix of base and joints, factorised. Returns false where it is not positive definite. */
 static bool inertia(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
                     zygos_propagation_work_t *work)
 {
@@ -288,28 +316,7 @@ static bool inertia(const zygos_propagation_t *self, const zygos_config_t *confi
             work->mass[v][u] = column[v];
         }
     }
-    for (uint32_t v = 0; v < size; v++) {
-        for (uint32_t u = 0; u <= v; u++) {
-            double sum = work->mass[v][u];
-            for (uint32_t i = 0; i < n; i++) {
-                sum -= dynamics->rotor[i] * work->along[i][v] * work->along[i][u];
-            }
-            for (uint32_t k = 0; k < u; k++) {
-                sum -= work->mass[v][k] * work->mass[u][k];
-            }
-            if (u < v) {
-                work->mass[v][u] = sum / work->mass[u][u];
-            } else if (sum > 0.0) {
-                work->mass[v][v] = __builtin_sqrt(sum);
-            } else {
-                return false;
-            }
-        }
-        if ((v < n) && !(dynamics->rotor[v] > 0.0)) {
-            return false;
-        }
-    }
-    return true;
+    return factorise_inertia(dynamics, n, size, work);
 }
 
 /* Replaces a residual of base, joints and rotors by minus the accelerations that it takes to balance it. */
@@ -361,6 +368,57 @@ static double friction_sign(double rate, double *slope)
     return slow ? share : ((share > 0.0) ? 1.0 : -1.0);
 }
 
+/* Angular velocities, and angular accelerations without those of base and joints. */
+static void spin_bodies(const zygos_propagation_t *self, uint32_t n, const double *state,
+                        zygos_propagation_work_t *work)
+{
+    const double *q_rate = &state[self->base_rates + 2u * n];
+    memset(work->omega, 0, sizeof work->omega);
+    memset(work->spin, 0, sizeof work->spin);
+    for (uint32_t k = 0; k < self->base_rates; k++) {
+        add(work->omega[0], state[k], work->base_axis[k]);
+    }
+    for (uint32_t i = 0; i < n; i++) {
+        cross(work->omega[i], work->axis[i], work->lean[i]);
+        memcpy(work->omega[i + 1u], work->omega[i], sizeof work->omega[0]);
+        add(work->omega[i + 1u], q_rate[i], work->axis[i]);
+        memcpy(work->spin[i + 1u], work->spin[i], sizeof work->spin[0]);
+        add(work->spin[i + 1u], q_rate[i], work->lean[i]);
+    }
+}
+
+/* Adds the angular accelerations of base and joints. */
+static void add_accelerations(uint32_t n, uint32_t w, zygos_propagation_work_t *work)
+{
+    for (uint32_t k = 0; k < w; k++) {
+        add(work->spin[0], work->y[k], work->base_axis[k]);
+    }
+    for (uint32_t i = 1; i <= n; i++) {
+        for (uint32_t k = 0; k < w; k++) {
+            add(work->spin[i], work->y[k], work->base_axis[k]);
+        }
+        for (uint32_t k = 0; k < i; k++) {
+            add(work->spin[i], work->y[w + k], work->axis[k]);
+        }
+    }
+}
+
+/* Accelerations of directions, the forces that they and gravity take, and the torques of these on the bodies, which are
+ * added. swing: what angular velocities alone do. */
+static void load_bodies(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
+                        const double (*swing)[3], double (*load)[3], zygos_propagation_work_t *work)
+{
+    for (uint32_t a = 0; a < self->directions; a++) {
+        memcpy(work->acceleration[a], swing[a], sizeof work->acceleration[a]);
+        add_cross(work->acceleration[a], work->spin[self->body[a]], work->direction[a]);
+    }
+    weigh(self, dynamics, 0, (const double(*)[3])work->acceleration, work->force);
+    for (uint32_t a = 0; a < self->directions; a++) {
+        add(work->force[a], -dynamics->moment[a], config->gravity);
+    }
+    turn(self, (const double(*)[3])work->direction, (const double(*)[3])work->force, load);
+}
+
 /* The accelerations y, with all that derivatives need of the motion. */
 static void accelerate(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
                        const double *state, const double *torque, zygos_propagation_work_t *work)
@@ -374,31 +432,14 @@ static void accelerate(const zygos_propagation_t *self, const zygos_config_t *co
     bodies_t beyond;
     directions_t swing;
 
-    memset(work->omega, 0, sizeof work->omega);
-    memset(work->spin, 0, sizeof work->spin);
-    for (uint32_t k = 0; k < w; k++) {
-        add(work->omega[0], state[k], work->base_axis[k]);
-    }
-    for (uint32_t i = 0; i < n; i++) {
-        cross(work->omega[i], work->axis[i], work->lean[i]);
-        memcpy(work->omega[i + 1u], work->omega[i], sizeof work->omega[0]);
-        add(work->omega[i + 1u], q_rate[i], work->axis[i]);
-        memcpy(work->spin[i + 1u], work->spin[i], sizeof work->spin[0]);
-        add(work->spin[i + 1u], q_rate[i], work->lean[i]);
-    }
+    spin_bodies(self, n, state, work);
     for (uint32_t a = 0; a < self->directions; a++) {
         const double *omega = work->omega[self->body[a]];
         double rate[3];
         cross(omega, work->direction[a], rate);
         cross(omega, rate, swing[a]);
-        memcpy(work->acceleration[a], swing[a], sizeof swing[a]);
-        add_cross(work->acceleration[a], work->spin[self->body[a]], work->direction[a]);
     }
-    weigh(self, dynamics, 0, (const double(*)[3])work->acceleration, work->force);
-    for (uint32_t a = 0; a < self->directions; a++) {
-        add(work->force[a], -dynamics->moment[a], config->gravity);
-    }
-    turn(self, (const double(*)[3])work->direction, (const double(*)[3])work->force, load);
+    load_bodies(self, config, dynamics, (const double(*)[3])swing, load, work);
     for (uint32_t i = 0; i < n; i++) {
         add(load[i], dynamics->rotor[i] * config->joint[i].gear_ratio * theta_rate[i], work->lean[i]);
     }
@@ -413,28 +454,9 @@ static void accelerate(const zygos_propagation_t *self, const zygos_config_t *co
         work->y[w + n + i] = dynamics->rotor[i] * ratio * dot(work->axis[i], work->spin[i]) + spring - ratio * drive;
     }
     solve(self, config, dynamics, work, work->y);
-
-    for (uint32_t k = 0; k < w; k++) {
-        add(work->spin[0], work->y[k], work->base_axis[k]);
-    }
-    for (uint32_t i = 1; i <= n; i++) {
-        for (uint32_t k = 0; k < w; k++) {
-            add(work->spin[i], work->y[k], work->base_axis[k]);
-        }
-        for (uint32_t k = 0; k < i; k++) {
-            add(work->spin[i], work->y[w + k], work->axis[k]);
-        }
-    }
+    add_accelerations(n, w, work);
     memset(work->load, 0, sizeof work->load);
-    for (uint32_t a = 0; a < self->directions; a++) {
-        memcpy(work->acceleration[a], swing[a], sizeof swing[a]);
-        add_cross(work->acceleration[a], work->spin[self->body[a]], work->direction[a]);
-    }
-    weigh(self, dynamics, 0, (const double(*)[3])work->acceleration, work->force);
-    for (uint32_t a = 0; a < self->directions; a++) {
-        add(work->force[a], -dynamics->moment[a], config->gravity);
-    }
-    turn(self, (const double(*)[3])work->direction, (const double(*)[3])work->force, work->load);
+    load_bodies(self, config, dynamics, (const double(*)[3])swing, work->load, work);
     for (uint32_t i = 0; i < n; i++) {
         const double geared = dynamics->rotor[i] * config->joint[i].gear_ratio;
         add(work->load[i], geared * work->y[w + n + i], work->axis[i]);
@@ -460,38 +482,52 @@ static void by_spring(const zygos_propagation_t *self, uint32_t n, uint32_t i, d
     column[self->base_rates + n + i] -= stiffness;
 }
 
-static void by_angle(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
-                     const double *state, uint32_t m, zygos_propagation_work_t *work)
+/* What turns with a joint: its axes, and the angular velocities, accelerations and torques of its bodies. */
+typedef struct {
+    bodies_t tilt;
+    bodies_t faster;
+    bodies_t later;
+    bodies_t torque;
+} turned_t;
+
+/* By the angle of joint m. */
+static void turn_bodies(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
+                        const double *state, uint32_t m, const zygos_propagation_work_t *work, turned_t *out)
 {
     const uint32_t n = config->joints;
     const uint32_t w = self->base_rates;
     const double *q_rate = &state[w + 2u * n];
     const double *theta_rate = &state[w + 3u * n];
-    bodies_t faster = { { 0.0 } };
-    bodies_t later = { { 0.0 } };
-    bodies_t tilt = { { 0.0 } };
-    bodies_t torque = { { 0.0 } };
+    for (uint32_t k = m; k < n; k++) {
+        double *tilt = out->tilt[k];
+        double bend[3];
+        cross(work->axis[m], work->axis[k], tilt);
+        cross(out->faster[k], work->axis[k], bend);
+        add_cross(bend, work->omega[k], tilt);
+        memcpy(out->faster[k + 1u], out->faster[k], sizeof out->faster[k]);
+        add(out->faster[k + 1u], q_rate[k], tilt);
+        memcpy(out->later[k + 1u], out->later[k], sizeof out->later[k]);
+        add(out->later[k + 1u], work->y[w + k], tilt);
+        add(out->later[k + 1u], q_rate[k], bend);
+        const double geared = dynamics->rotor[k] * config->joint[k].gear_ratio;
+        add(out->torque[k], geared * work->y[w + n + k], tilt);
+        add(out->torque[k], geared * theta_rate[k], bend);
+    }
+}
+
+static void by_angle(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
+                     const double *state, uint32_t m, zygos_propagation_work_t *work)
+{
+    const uint32_t n = config->joints;
+    const uint32_t w = self->base_rates;
+    turned_t turned = { 0 };
     bodies_t beyond;
     directions_t shift;
     directions_t change;
     directions_t force;
     double column[ZYGOS_MAX_ACCELERATIONS] = { 0.0 };
-    const double *turned = work->axis[m];
     uint32_t from = 0;
-    for (uint32_t k = m; k < n; k++) {
-        double bend[3];
-        cross(turned, work->axis[k], tilt[k]);
-        cross(faster[k], work->axis[k], bend);
-        add_cross(bend, work->omega[k], tilt[k]);
-        memcpy(faster[k + 1u], faster[k], sizeof faster[k]);
-        add(faster[k + 1u], q_rate[k], tilt[k]);
-        memcpy(later[k + 1u], later[k], sizeof later[k]);
-        add(later[k + 1u], work->y[w + k], tilt[k]);
-        add(later[k + 1u], q_rate[k], bend);
-        const double geared = dynamics->rotor[k] * config->joint[k].gear_ratio;
-        add(torque[k], geared * work->y[w + n + k], tilt[k]);
-        add(torque[k], geared * theta_rate[k], bend);
-    }
+    turn_bodies(self, config, dynamics, state, m, work, &turned);
     for (uint32_t a = 0; a < self->directions; a++) {
         const uint32_t body = self->body[a];
         if (body <= m) {
@@ -502,28 +538,28 @@ static void by_angle(const zygos_propagation_t *self, const zygos_config_t *conf
         const double *omega = work->omega[body];
         double rate[3];
         double mixed[3];
-        cross(turned, rho, shift[a]);
-        cross(later[body], rho, change[a]);
+        cross(work->axis[m], rho, shift[a]);
+        cross(turned.later[body], rho, change[a]);
         add_cross(change[a], work->spin[body], shift[a]);
         cross(omega, rho, rate);
-        add_cross(change[a], faster[body], rate);
-        cross(faster[body], rho, mixed);
+        add_cross(change[a], turned.faster[body], rate);
+        cross(turned.faster[body], rho, mixed);
         add_cross(mixed, omega, shift[a]);
         add_cross(change[a], omega, mixed);
-        add_cross(torque[body], shift[a], work->force[a]);
+        add_cross(turned.torque[body], shift[a], work->force[a]);
     }
     weigh(self, dynamics, from, (const double(*)[3])change, force);
-    turn(self, (const double(*)[3])work->direction, (const double(*)[3])force, torque);
-    project(self, n, work, (const double(*)[3])torque, beyond, column);
+    turn(self, (const double(*)[3])work->direction, (const double(*)[3])force, turned.torque);
+    project(self, n, work, (const double(*)[3])turned.torque, beyond, column);
     double sum[3] = { 0.0, 0.0, 0.0 };
     for (uint32_t k = n; k > m; k--) {
         /* an axis that is turned takes another component of the load beyond it */
         add(sum, 1.0, work->load[k]);
-        column[w + k - 1u] += dot(tilt[k - 1u], sum);
+        column[w + k - 1u] += dot(turned.tilt[k - 1u], sum);
     }
     for (uint32_t k = m; k < n; k++) {
         const double geared = dynamics->rotor[k] * config->joint[k].gear_ratio;
-        column[w + n + k] += geared * (dot(tilt[k], work->spin[k]) + dot(work->axis[k], later[k]));
+        column[w + n + k] += geared * (dot(turned.tilt[k], work->spin[k]) + dot(work->axis[k], turned.later[k]));
     }
     by_spring(self, n, m, dynamics->stiffness[m], column);
     put_state(self, config, dynamics, w + m, column, work);

@@ -358,11 +358,9 @@ static bool rebuild(zygos_refine_t *self, const zygos_config_t *config)
     return true;
 }
 
-int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
+/* Repairs the magic number, the seal of the configuration and the settings. Returns what was found, or an error. */
+static int scrub_head(zygos_refine_t *self, const zygos_config_t *config)
 {
-    if ((self == NULL) || (config == NULL)) {
-        return ZYGOS_E_NULL;
-    }
     const uint32_t off = self->magic ^ MAGIC;
     const uint64_t config_off = self->config_seal ^ config_seal_of(config);
     if ((off & (off - 1u)) != 0u) {
@@ -382,6 +380,31 @@ int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
         self->magic = MAGIC;
     }
     self->config_seal ^= config_off;
+    return (int)found;
+}
+
+/* Places of the queue that lead nowhere lose what waits. */
+static bool repair_queue(zygos_refine_t *self)
+{
+    const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE); /* the step may be appending */
+    if ((head <= (uint32_t)ZYGOS_CYCLE_QUEUE) && (self->queue.tail <= (uint32_t)ZYGOS_CYCLE_QUEUE)) {
+        return false;
+    }
+    __atomic_store_n(&self->queue.head, 0u, __ATOMIC_RELEASE);
+    __atomic_store_n(&self->queue.tail, 0u, __ATOMIC_RELEASE);
+    return true;
+}
+
+int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
+{
+    if ((self == NULL) || (config == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const int head = scrub_head(self, config);
+    if (head < 0) {
+        return head;
+    }
+    uint32_t found = (uint32_t)head;
     const bool tables = (self->tables_seal != tables_seal_of(self));
     const bool places = (self->places_seal != places_of(self));
     found |= tables ? (uint32_t)ZYGOS_SCRUBBED_TABLES : 0u;
@@ -395,12 +418,7 @@ int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
         abandon(self);
         found |= (uint32_t)ZYGOS_SCRUBBED_SUMS;
     }
-    const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE); /* the step may be appending */
-    if ((head > (uint32_t)ZYGOS_CYCLE_QUEUE) || (self->queue.tail > (uint32_t)ZYGOS_CYCLE_QUEUE)) {
-        __atomic_store_n(&self->queue.head, 0u, __ATOMIC_RELEASE);
-        __atomic_store_n(&self->queue.tail, 0u, __ATOMIC_RELEASE);
-        found |= (uint32_t)ZYGOS_SCRUBBED_PLACES;
-    }
+    found |= repair_queue(self) ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
     if (found != 0u) {
         seal_all(self);
     }
@@ -1105,6 +1123,20 @@ static void work_on(zygos_refine_t *self, const zygos_config_t *config)
     }
 }
 
+/* Whether there is something to do: without a cycle that waits, the first phase has nothing to take. Returns
+ * ZYGOS_E_STATE where the queue leads nowhere. */
+static int has_work(const zygos_refine_t *self)
+{
+    if (self->phase != (uint32_t)TAKE) {
+        return 1;
+    }
+    const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
+    if (head == self->queue.tail) {
+        return 0;
+    }
+    return (head > (uint32_t)ZYGOS_CYCLE_QUEUE) ? ZYGOS_E_STATE : 1;
+}
+
 int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
@@ -1116,14 +1148,9 @@ int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
     if ((self->places_seal != places_of(self)) || (self->phase > (uint32_t)CLOSE)) {
         return ZYGOS_E_STATE;
     }
-    if (self->phase == (uint32_t)TAKE) {
-        const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
-        if (head == self->queue.tail) {
-            return 0;
-        }
-        if (head > (uint32_t)ZYGOS_CYCLE_QUEUE) {
-            return ZYGOS_E_STATE;
-        }
+    const int work = has_work(self);
+    if (work != 1) {
+        return work;
     }
     const uint32_t phase = self->phase;
     const bool follows = leads_on(self);

@@ -9,19 +9,13 @@
 
 #define UNKNOWN "unknown code"
 
-/* No switch has a default, so that the compiler warns of an enumerator without a text. There are no tables of strings:
-   their pointers would be writable data in code that is independent of its place. */
+/* No switch over an enumeration has a default, so that the compiler warns of an enumerator without a text. There are no
+   tables of strings: their pointers would be writable data in code that is independent of its place. */
 
-const char *zygos_text(int code)
+/* NULL where the code is none of a configuration. */
+static const char *configuration_text(int code)
 {
-    if (code >= 0) {
-        return "no error";
-    }
-    switch ((enum zygos_error)code) {
-    case ZYGOS_E_NULL:
-        return "a required pointer is null";
-    case ZYGOS_E_ABI:
-        return "the library was built with other headers";
+    switch (code) {
     case ZYGOS_E_JOINTS:
         return "too many joints for this build";
     case ZYGOS_E_KINETIC:
@@ -43,14 +37,21 @@ const char *zygos_text(int code)
     case ZYGOS_E_ARC:
         return "arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below 20, joint_row_cycles is odd or too "
                "short, or this build has no room for such rows";
-    case ZYGOS_E_ORDER:
-        return "zygos_init() or zygos_resume() has not succeeded on this struct";
-    case ZYGOS_E_KEEP:
-        return "zygos_restart() does not know one of the bits, or there are no motor rows to keep";
     case ZYGOS_E_EFFECT:
         return "an effect stands twice, or has no columns in this build";
     case ZYGOS_E_BASE:
         return "base, gravity and gyro do not fit each other";
+    case ZYGOS_E_REDUCTION:
+        return "the reduction to independent columns does not fit the arm or this build";
+    default:
+        return NULL;
+    }
+}
+
+/* NULL where the code is none of a stored or changed state. */
+static const char *stored_text(int code)
+{
+    switch (code) {
     case ZYGOS_E_SNAPSHOT:
         return "is no snapshot of zygos";
     case ZYGOS_E_FORMAT:
@@ -73,14 +74,35 @@ const char *zygos_text(int code)
     case ZYGOS_E_SUMS:
         return "holds sums that do not match their row sums: memory was changed, in a stored state before it was "
                "sealed";
-    case ZYGOS_E_REDUCTION:
-        return "the reduction to independent columns does not fit the arm or this build";
+    default:
+        return NULL;
+    }
+}
+
+const char *zygos_text(int code)
+{
+    if (code >= 0) {
+        return "no error";
+    }
+    switch (code) {
+    case ZYGOS_E_NULL:
+        return "a required pointer is null";
+    case ZYGOS_E_ABI:
+        return "the library was built with other headers";
+    case ZYGOS_E_ORDER:
+        return "zygos_init() or zygos_resume() has not succeeded on this struct";
+    case ZYGOS_E_KEEP:
+        return "zygos_restart() does not know one of the bits, or there are no motor rows to keep";
     case ZYGOS_E_ARITHMETIC:
         return "the library was compiled with flags that break IEEE arithmetic";
     case ZYGOS_E_MEMORY:
         return "the memory for solutions is smaller than a zygos_in_place_t";
+    default:
+        break;
     }
-    return UNKNOWN;
+    const char *text = configuration_text(code);
+    text = (text != NULL) ? text : stored_text(code);
+    return (text != NULL) ? text : UNKNOWN;
 }
 
 const char *zygos_validity_text(uint32_t validity)
@@ -242,7 +264,8 @@ const char *zygos_wire_fault_text(uint32_t fault)
 
 _Static_assert(ZYGOS_FAULT_COUNTERS == 22u, "a fault counter without a text");
 
-const char *zygos_fault_text(uint32_t counter)
+/* NULL where the counter is none of frames. */
+static const char *frame_fault_text(uint32_t counter)
 {
     switch (counter) {
     case AT(length):
@@ -273,6 +296,14 @@ const char *zygos_fault_text(uint32_t counter)
         return "frames that report an invalid base rate, or are of the other kind of gyro";
     case AT(saturated):
         return "frames with a saturated torque or rate";
+    default:
+        return NULL;
+    }
+}
+
+const char *zygos_fault_text(uint32_t counter)
+{
+    switch (counter) {
     case AT(incomplete):
         return "cycles that closed with a frame missing or rejected";
     case AT(dropped):
@@ -289,8 +320,11 @@ const char *zygos_fault_text(uint32_t counter)
         return "complete cycles that were lost because the queue was full";
     case AT(bus_error):
         return "error frames from the CAN controller";
+    default:
+        break;
     }
-    return UNKNOWN;
+    const char *text = frame_fault_text(counter);
+    return (text != NULL) ? text : UNKNOWN;
 }
 
 const char *zygos_kinetic_text(uint32_t kinetic)

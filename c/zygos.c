@@ -411,42 +411,58 @@ static void refine_anew(zygos_t *self, const zygos_given_t *given)
     self->refines_anew = 0;
 }
 
-/* Adopts the estimate that the background has left. */
-static void adopt(zygos_t *self, const zygos_given_t *given)
+/* Compares the checksum of the estimate, in a cycle of its own, because that costs as much as the adoption. Returns
+   whether the adoption goes on in this one. */
+static bool is_compared(zygos_t *self, const zygos_given_t *given)
+{
+    if (self->adopting == SET) {
+        return true;
+    }
+    self->state.beside = 1u;
+    self->adopting = (*seal_of(given) == checksum_of(given, estimate_of(given))) ? SET : SPOILED;
+    return self->adopting != SET;
+}
+
+/* Gives the guard what it compares arcs with. Sums that are found corrupt are looked at, and given up where nothing is
+   found so often in a row. */
+static void use(zygos_t *self, const zygos_given_t *given, bool whole, bool current)
 {
     zygos_background_t *background = background_of(given);
     const zygos_estimate_t *estimate = estimate_of(given);
-    zygos_arm_t *arm = &self->state;
-    const bool busy = is_comparing(arm) || ((estimate->since > 0) && has_tasks(arm));
+    uint32_t *corrupt = (background != NULL) ? &background->corrupt : &in_place_of(given)->corrupt;
+    *corrupt = (whole && (estimate->reason == (uint32_t)ZYGOS_REASON_CORRUPT)) ? *corrupt + 1u : 0u;
+    if (*corrupt > 0) {
+        if ((mend(self, given) == 0) && (*corrupt >= CORRUPT)) {
+            (void)zygos_arm_restart(&self->state, (uint32_t)ZYGOS_KEEP_FAULTS);
+            self->losses++;
+            give_up(self);
+        }
+    } else if (current && ((background == NULL) || (estimate->since > 0))) {
+        (void)zygos_arm_adopt(&self->state, estimate); /* where sums are dropped, which is rare, at once */
+    } else if (current && (background->adopted != 0)) {
+        zygos_guard_take_over(&self->state.sums.guard, &background->work.sums.guard);
+    }
+}
+
+/* Adopts the estimate that the background has left. */
+static void adopt(zygos_t *self, const zygos_given_t *given)
+{
+    const zygos_background_t *background = background_of(given);
+    const zygos_arm_t *arm = &self->state;
+    const bool busy = is_comparing(arm) || ((estimate_of(given)->since > 0) && has_tasks(arm));
     if ((background != NULL) && busy && (self->waited < PATIENCE)) {
         self->waited++;
         return;
     }
-    if (self->adopting != SET) { /* in a cycle of its own, because the checksum costs as much as the adoption */
-        arm->beside = 1u;
-        self->adopting = (*seal_of(given) == checksum_of(given, estimate)) ? SET : SPOILED;
-        if (self->adopting == SET) {
-            return;
-        }
+    if (!is_compared(self, given)) {
+        return;
     }
     const bool whole = (self->adopting == SET);
     self->adopting = 0;
     self->waited = 0;
     const bool current = whole && (((background != NULL) ? background->of : in_place_of(given)->of) == self->restarts);
     self->repairs += whole ? 0u : 1u; /* an estimate that was changed since is not used */
-    uint32_t *corrupt = (background != NULL) ? &background->corrupt : &in_place_of(given)->corrupt;
-    *corrupt = (whole && (estimate->reason == (uint32_t)ZYGOS_REASON_CORRUPT)) ? *corrupt + 1u : 0u;
-    if (*corrupt > 0) {
-        if ((mend(self, given) == 0) && (*corrupt >= CORRUPT)) {
-            (void)zygos_arm_restart(arm, (uint32_t)ZYGOS_KEEP_FAULTS);
-            self->losses++;
-            give_up(self);
-        }
-    } else if (current && ((background == NULL) || (estimate->since > 0))) {
-        (void)zygos_arm_adopt(arm, estimate); /* where sums are dropped, which is rare, at once */
-    } else if (current && (background->adopted != 0)) {
-        zygos_guard_take_over(&arm->sums.guard, &background->work.sums.guard);
-    }
+    use(self, given, whole, current);
     if (current) {
         judge(self, given);
     }
@@ -612,6 +628,25 @@ static const zygos_given_t *prepare(zygos_t *self)
     return &self->given[0];
 }
 
+/* What is done beside a cycle, whether one waits or not. Estimates depend on the cycles alone, and not on how often
+   this is called, unless the bus is silent, or nothing on it makes a cycle, for which a configuration that was changed
+   may be the reason. Returns 1 where the cycle may be used, or the error of the repair. */
+static inline int attend_in_turn(zygos_t *self, const zygos_given_t *given, bool waits)
+{
+    self->quiet = waits ? 0u : self->quiet + 1u;
+    if (waits || (self->quiet > PATIENCE)) {
+        self->quiet = waits ? 0u : PATIENCE;
+        if (!attend(self, given)) {
+            return 0;
+        }
+        const int mended = patrol(self, given);
+        if (mended < 0) {
+            return mended;
+        }
+    }
+    return waits ? 1 : 0;
+}
+
 int zygos_step(zygos_t *self)
 {
     if (self == NULL) {
@@ -625,22 +660,9 @@ int zygos_step(zygos_t *self)
     if (mended < 0) {
         return mended;
     }
-    /* Estimates depend on the cycles alone, and not on how often this is called, unless the bus is silent, or nothing
-       on it makes a cycle, for which a configuration that was changed may be the reason. */
-    const bool waits = (is_complete(&self->state.receiver));
-    self->quiet = waits ? 0u : self->quiet + 1u;
-    if (waits || (self->quiet > PATIENCE)) {
-        self->quiet = waits ? 0u : PATIENCE;
-        if (!attend(self, given)) {
-            return 0;
-        }
-        mended = patrol(self, given);
-        if (mended < 0) {
-            return mended;
-        }
-    }
-    if (!waits) {
-        return 0;
+    const int attended = attend_in_turn(self, given, is_complete(&self->state.receiver));
+    if (attended != 1) {
+        return attended;
     }
     if (given->refine != 0) {
         refine(self, given, zygos_receiver_front(&self->state.receiver));
