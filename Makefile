@@ -4,8 +4,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
-SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/* include/zygos/priv/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h include/zygos/priv/*.h tests/builds/*.c tests/fuzz/*.[ch] tests/bench/*.c tests/upset/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
+SOURCES := $(wildcard c/*/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/* include/zygos/priv/*) tools/build_native.py
+C_FILES := $(wildcard c/*/*.c c/ports/*/*.[ch] include/zygos/*.h include/zygos/priv/*.h tests/builds/*.c tests/fuzz/*.[ch] tests/bench/*.c tests/upset/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
 export CFLAGS := $(filter-out -Werror,$(CFLAGS)) -Werror
@@ -16,7 +16,7 @@ BUILD  ?= build
 PREFIX ?= /usr/local
 LIBRARY := $(BUILD)/libzygos.a
 NODE := $(BUILD)/zygos-node
-OBJECTS := $(patsubst c/%.c,$(BUILD)/objects/%.o,$(wildcard c/*.c))
+OBJECTS := $(patsubst c/%.c,$(BUILD)/objects/%.o,$(wildcard c/*/*.c))
 HEADERS := $(patsubst include/zygos/%,%,$(wildcard include/zygos/*.h include/zygos/priv/*.h))
 DATABASES := $(notdir $(wildcard include/zygos/*.dbc))
 PACKAGES := zygos.pc zygosConfig.cmake zygosConfigVersion.cmake

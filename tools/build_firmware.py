@@ -19,7 +19,7 @@ from build_native import FLAGS, ROOT
 PORT = ROOT / "c" / "ports" / "cortex-m"
 TELEMETRY = ROOT / "c" / "ports" / "telemetry"
 ROOMS = [
-    *sorted((ROOT / "c").glob("*.c")),
+    *sorted((ROOT / "c").glob("*/*.c")),
     *(PORT / f"{noun}.c" for noun in ("core", "semihosting", "slcan", "uart")),
     TELEMETRY / "telemetry.c",
 ]

@@ -83,7 +83,7 @@ def main(folder: Path) -> None:
     extra = shlex.split(os.environ.get("CFLAGS", ""))
     folder.mkdir(parents=True, exist_ok=True)
     text = declarations(*(flag for flag in extra if flag.startswith("-D")))
-    sources = sorted(str(path) for path in [*(ROOT / "c").glob("*.c"), *HOST.glob("*.c")])
+    sources = sorted(str(path) for path in [*(ROOT / "c").glob("*/*.c"), *HOST.glob("*.c")])
     # the simulator takes three times as long at -O2; no optimisation changes a result
     command = [*compiler, *FLAGS.split(), "-O3", *extra]
     command += [f"-DZYGOS_DECLARATIONS_DIGEST={digest_of(text)}u", *INCLUDES, "-shared", *sources]

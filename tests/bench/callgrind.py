@@ -32,7 +32,7 @@ def build(folder: Path, capacities: tuple[str, ...], library: Sequence[Path] = (
     program = folder / "driver"
     folder.mkdir(parents=True, exist_ok=True)
     includes = [f"-I{ROOT / 'include'}", f"-I{ROOT / 'c' / 'ports' / 'cortex-m'}"]
-    sources = [DRIVER, DRIVER.with_name("host.c"), *(library or sorted((ROOT / "c").glob("*.c")))]
+    sources = [DRIVER, DRIVER.with_name("host.c"), *(library or sorted((ROOT / "c").glob("*/*.c")))]
     subprocess.run([*COMPILER, *capacities, *includes, *map(str, sources), "-o", str(program)], check=True)
     return program
 

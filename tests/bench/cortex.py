@@ -76,7 +76,7 @@ def write_symbols(elf: Path, path: Path) -> list[str]:
 def _room(file: str) -> int:
     """What the instructions of a file's functions are booked on, as bench/plugin.c wants it."""
     path = Path(file)
-    if path.parent == ROOT / "c":
+    if path.parent.parent == ROOT / "c":
         room = FOLDED.get(path.stem, path.stem)
         return _TOP if room in TOPS else STAGES.index(room) if room in STAGES else _RUNTIME
     # the port's soft double is the compiler's runtime, too

@@ -43,7 +43,7 @@ def footprints(target: str, folder: Path, capacities: tuple[str, ...]) -> dict[s
     compiler = [*callgrind.COMPILER, "-maccumulate-outgoing-args"] if host else firmware.compiler(target)
     prefix = "" if host else "arm-none-eabi-"
     folder.mkdir(parents=True, exist_ok=True)
-    rooms = sorted((ROOT / "c").glob("*.c"))
+    rooms = sorted((ROOT / "c").glob("*/*.c"))
     includes = ["-I", str(ROOT / "include")]
     # functions with the same content stay apart: one that was folded into another has no stack in the call graph
     sections = ["-fno-ipa-icf", "-fcallgraph-info=su", "-ffunction-sections", "-fdata-sections"]

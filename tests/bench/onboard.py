@@ -31,7 +31,7 @@ from zygos.simulation.scenario import load_scenario
 
 DRIVER = Path(__file__).with_name("refine.c")
 PHASES = ("take", "move", "slopes", "series", "carry", "table", "rows", "read", "close")
-"""As enum phase in c/refine.c."""
+"""As enum phase in c/refine/refine.c."""
 _END = 255
 
 

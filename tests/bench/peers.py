@@ -63,7 +63,7 @@ def build(folder: Path, optimised: str) -> Path:
     c = [flag for flag in callgrind.COMPILER if flag not in ("-O2", "-static")]
     includes = ["-I", str(ROOT / "include")]
     prefix = next(parent for parent in Path(pin.__file__).parents if parent.name == "cmeel.prefix")
-    sources = [str(path) for path in sorted((ROOT / "c").glob("*.c"))]
+    sources = [str(path) for path in sorted((ROOT / "c").glob("*/*.c"))]
     subprocess.run([*c, *flags, *includes, "-c", *sources], cwd=folder, check=True)
     objects = [str(path) for path in sorted(folder.glob("*.o"))]
     system = ["-isystem", str(prefix / "include"), "-isystem", str(EIGEN)]

@@ -35,7 +35,7 @@ extern int qemu_plugin_version;
 int qemu_plugin_version = 1;
 
 enum room {
-    ROOM_TOP = -1,     /* c/zygos.c and c/arm.c: what they call is booked on the callee's room until that returns */
+    ROOM_TOP = -1,     /* zygos.c and arm.c: what they call is booked on the callee's room until that returns */
     ROOM_RUNTIME = -2, /* of the compiler's: booked on whoever called it */
     ROOM_OUTSIDE = -3  /* not counted */
 };

@@ -29,7 +29,7 @@ def built(compiler: str, flags: str, folder: Path) -> subprocess.CompletedProces
     """Compile the library and a program that initialises an arm of no joints."""
     (folder / "main.c").write_text(PROGRAM)
     flags = f"-std=c11 -O1 -ffp-contract=off -DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0 {flags}"
-    sources = ["main.c", *map(str, sorted((ROOT / "c").glob("*.c")))]
+    sources = ["main.c", *map(str, sorted((ROOT / "c").glob("*/*.c")))]
     command = [tool(compiler), *flags.split(), f"-I{ROOT / 'include'}", *sources, "-lm", "-o", "program"]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 

@@ -43,7 +43,7 @@ def linked(link: str, library: Sequence[Path], folder: Path, *flags: str) -> str
 
 def library(link: str, folder: Path, *flags: str) -> list[Path]:
     """Those rooms of the library that the program needs."""
-    return [compiled(link, ROOT / "c" / f"{room}.c", folder, *flags) for room in ("wire", "capacities")]
+    return [compiled(link, ROOT / "c" / f"{room}.c", folder, *flags) for room in ("in/wire", "loop/capacities")]
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_the_same_capacities_link_however_they_were_given(link: str, tmp_path: P
 
 
 def test_arithmetic_of_another_width_is_refused(tmp_path: Path) -> None:
-    command = [tool("gcc"), "-std=c11", "-mfpmath=387", INCLUDE, "-c", str(ROOT / "c" / "arm.c")]
+    command = [tool("gcc"), "-std=c11", "-mfpmath=387", INCLUDE, "-c", str(ROOT / "c" / "loop" / "arm.c")]
     done = subprocess.run([*command, "-o", str(tmp_path / "o.o")], capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "zygos needs doubles that are rounded to double after each operation; remedy:" in done.stderr

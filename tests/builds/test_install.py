@@ -23,8 +23,8 @@ INSTALLED = {
 }
 SAME = {"CC": "gcc", "CFLAGS": f" {flags_of('gcc')}", "CAPACITIES": PLANAR}
 """What `make` has to be told so that it finds nothing to compile in the library of `onboard()`."""
-TREE = ("wire", "snapshot", "capacities")
-"""Rooms of a source tree that is compiled anew: enough to check frames."""
+TREE = {"wire": "in", "snapshot": "loop", "capacities": "loop"}
+"""Rooms of a source tree that is compiled anew, and their folders: enough to check frames."""
 STRICT = ["-Wall", "-Wextra", "-pedantic", "-Werror"]
 VERSION = ".".join(re.findall(r"#define ZYGOS_VERSION_M\w+ (\d+)", (ROOT / "include/zygos/types.h").read_text()))
 
@@ -135,8 +135,8 @@ def sources(tmp_path: Path) -> Path:
     tree = tmp_path / "my sources"
     for folder in ("include", "tools/package"):
         shutil.copytree(ROOT / folder, tree / folder)
-    (tree / "c").mkdir()
-    for name in ("Makefile", "CMakeLists.txt", "c/flags.txt", *(f"c/{room}.c" for room in TREE)):
+    for name in ("Makefile", "CMakeLists.txt", "c/flags.txt", *(f"c/{TREE[room]}/{room}.c" for room in TREE)):
+        (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tree / name)
     return tree
 
@@ -240,7 +240,7 @@ def test_nothing_but_c_is_installed(installed: Path) -> None:
         assert str(installed.parent) not in text, name
         assert not re.search(r"@[A-Z]+@", text), name
     members = run([tool("ar"), "t", "lib/libzygos.a"], installed).split()
-    assert sorted(members) == sorted(f"{path.stem}.o" for path in (ROOT / "c").glob("*.c"))
+    assert sorted(members) == sorted(f"{path.stem}.o" for path in (ROOT / "c").glob("*/*.c"))
 
 
 def test_destdir_is_put_in_front(library: Path, tmp_path: Path, installed: Path) -> None:
@@ -298,7 +298,7 @@ def test_two_installations_of_one_tree_keep_their_capacities(sources: Path, smal
 def test_what_changed_is_compiled_again(sources: Path) -> None:
     def compiled(**variables: str) -> set[str]:
         """The rooms that `make library` compiles."""
-        return set(re.findall(r"-c c/(\w+)\.c", make("library", Path("build"), sources, **variables)))
+        return set(re.findall(r"-c c/\w+/(\w+)\.c", make("library", Path("build"), sources, **variables)))
 
     off = "-O0"
     assert compiled(CFLAGS=off) == set(TREE)
@@ -309,10 +309,10 @@ def test_what_changed_is_compiled_again(sources: Path) -> None:
     assert compiled(CFLAGS=off, CAPACITIES=PLANAR) == set(TREE)
     assert compiled(CFLAGS=off, CAPACITIES=PLANAR) == set()
     assert compiled(CFLAGS="-O1", CAPACITIES=PLANAR) == set(TREE)
-    (sources / "c" / "snapshot.c").unlink()
-    (sources / "c" / "wire.c").touch()
+    (sources / "c" / "loop" / "snapshot.c").unlink()
+    (sources / "c" / "in" / "wire.c").touch()
     make("library", Path("build"), sources, CFLAGS="-O1", CAPACITIES=PLANAR)
-    assert run([tool("ar"), "t", "build/libzygos.a"], sources).split() == ["capacities.o", "wire.o"]
+    assert run([tool("ar"), "t", "build/libzygos.a"], sources).split() == ["wire.o", "capacities.o"]
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def compiled(folder: Path, compiler: str, *flags: str) -> subprocess.CompletedPr
     need(shutil.which(command[0]), f"{command[0]}: this compiler stays unchecked")
     (folder / "program.c").write_text(PROGRAM)
     command = [*command, *WARNINGS, *flags, f"-I{ROOT / 'include'}", f"-I{folder}", str(folder / "program.c")]
-    command.append(str(ROOT / "c" / "capacities.c"))
+    command.append(str(ROOT / "c" / "loop" / "capacities.c"))
     return subprocess.run([*command, "-o", str(folder / "program")], capture_output=True, text=True, check=False)
 
 
@@ -201,6 +201,6 @@ def _bytes_of(folder: Path, flags: Sequence[str], struct: str) -> list[int]:
     )
     (folder / "sizes.c").write_text(program)
     command = ["gcc", "-std=c11", *flags, f"-I{ROOT / 'include'}", str(folder / "sizes.c")]
-    subprocess.run([*command, str(ROOT / "c" / "capacities.c"), "-o", str(folder / "sizes")], check=True)
+    subprocess.run([*command, str(ROOT / "c" / "loop" / "capacities.c"), "-o", str(folder / "sizes")], check=True)
     done = subprocess.run([folder / "sizes"], capture_output=True, check=True)
     return [int(word) for word in done.stdout.split()]

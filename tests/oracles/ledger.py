@@ -35,7 +35,7 @@ def _digest(paths: Iterable[Path]) -> str:
 @cache
 def product() -> str:
     """Digest of the sources of the product."""
-    listed = [*(ROOT / "harness").rglob("*.py"), *(ROOT / "c").glob("*.[ch]"), *(ROOT / "include").rglob("*.h")]
+    listed = [*(ROOT / "harness").rglob("*.py"), *(ROOT / "c").glob("*/*.c"), *(ROOT / "include").rglob("*.h")]
     return _digest(path for path in listed if "_native" not in path.parts)
 
 

@@ -24,7 +24,7 @@ from zygos.native import flight
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(os.environ.get("ZYGOS_BUILDS", ROOT / "build" / "builds"))
 INCLUDE = f"-I{ROOT / 'include'}"
-ROOMS = sorted((ROOT / "c").glob("*.c"))
+ROOMS = sorted((ROOT / "c").glob("*/*.c"))
 """The sources of the flight library."""
 ONBOARD = ROOT / "examples" / "onboard"
 STRICT = "-Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic -Werror"

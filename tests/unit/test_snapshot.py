@@ -74,7 +74,7 @@ def test_capacities_change_the_hash(tmp_path: Path) -> None:
         *("", "MAX_JOINTS=2", "MAX_HALF_WIDTH=14", "MAX_BLOCKS=30", "CYCLE_QUEUE=16", "SPATIAL=0", "MOMENTUM=0"),
     ):
         define = [f"-DZYGOS_{flag}"] if flag else []
-        command = ["cc", "-std=c11", "-I", str(ROOT / "include"), *define, str(ROOT / "c" / "capacities.c")]
+        command = ["cc", "-std=c11", "-I", str(ROOT / "include"), *define, str(ROOT / "c" / "loop" / "capacities.c")]
         subprocess.run([*command, str(tmp_path / "abi.c"), "-o", str(tmp_path / "abi")], check=True)
         found.append(int(subprocess.run([tmp_path / "abi"], capture_output=True, check=True).stdout))
     assert found[0] == lib.zygos_abi()

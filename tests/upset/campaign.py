@@ -83,7 +83,7 @@ def write(one: Campaign, folder: Path) -> int:
 def build(one: Campaign, folder: Path) -> Path:
     """Compile library and campaign with the house flags."""
     program = folder / "campaign"
-    sources = [*sorted((ROOT / "c").glob("*.c")), ROOT / "tests" / "upset" / "campaign.c"]
+    sources = [*sorted((ROOT / "c").glob("*/*.c")), ROOT / "tests" / "upset" / "campaign.c"]
     flags = [flag for flag in house_flags() if flag != "-std=c11"]
     command = ["gcc", "-std=gnu11", *flags, "-g", *SANITIZED, *one.capacities, f"-I{ROOT / 'include'}"]
     subprocess.run([*command, *map(str, sources), "-o", str(program)], check=True)

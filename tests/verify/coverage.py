@@ -110,7 +110,7 @@ def reported(checkout: Path) -> dict[str, Any]:
         shutil.copy(path, PLACE)
     out = PLACE / "report.json"
     tool = [sys.executable, "-m", "gcovr", "--config", os.devnull, "--root", str(checkout)]
-    tool += ["--filter", f"{checkout}/c/[a-z]+\\.c", "--json", str(out), str(PLACE)]
+    tool += ["--filter", f"{checkout}/c/[a-z]+/[a-z]+\\.c", "--json", str(out), str(PLACE)]
     tool += ["--gcov-suspicious-hits-threshold", "0"]  # a loop of the filter runs more often than it takes for possible
     subprocess.run(tool, cwd=checkout, check=True, capture_output=True)
     content: dict[str, Any] = json.loads(out.read_text())

@@ -30,7 +30,7 @@ def guided(folder: Path) -> Path | None:
     folder.mkdir(parents=True, exist_ok=True)
     flags = ["-std=c11", "-O1", "-g", "-ffp-contract=off", *GUIDED, f"-I{fuzz_support.ROOT / 'include'}"]
     defines = [f"-DZYGOS_{name}={value}" for name, value in CAPACITIES.items()]
-    sources = [*sorted((fuzz_support.ROOT / "c").glob("*.c")), Path(fuzz_support.__file__).with_name("fuzz_bytes.c")]
+    sources = [*sorted((fuzz_support.ROOT / "c").glob("*/*.c")), Path(fuzz_support.__file__).with_name("fuzz_bytes.c")]
     if shutil.which("clang") is None:
         return None
     command = ["clang", *flags, *defines, *map(str, sources), "-lm", "-o", str(program)]

@@ -304,7 +304,7 @@ def library(folder: Path, jobs: int) -> list[Mutant]:
     unchanged code does not compile.
     """
     build = tool_module("build_native")
-    paths = sorted((ROOT / "c").glob("*.c"))
+    paths = sorted((ROOT / "c").glob("*/*.c"))
     skipped: frozenset[str] = frozenset()
     compiler = shlex.split("cc -std=c11 -O1 -w -fPIC -ffp-contract=off -fno-math-errno -c")
     sources, objects = folder / "source", folder / "objects"

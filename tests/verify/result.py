@@ -44,7 +44,7 @@ def judged(findings: Iterable[str], figure: str, **figures: Any) -> Result:
 
 def sources(checkout: Path = ROOT) -> list[Path]:
     """The files of the library."""
-    return sorted((checkout / "c").glob("*.c"))
+    return sorted((checkout / "c").glob("*/*.c"))
 
 
 def digest(checkout: Path = ROOT) -> str:

@@ -36,7 +36,7 @@ THINNEST = 1e-4
 to this value."""
 
 _DEPENDENT = 1e-11
-"""Columns whose scaled normal matrix has a smaller relative eigenvalue are dependent, as in c/solver.c."""
+"""Columns whose scaled normal matrix has a smaller relative eigenvalue are dependent, as in c/solve/solver.c."""
 _SHARPEST = 1e-6
 """Smallest relative sigma of a combination of parameters."""
 _PRECISIONS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0)
