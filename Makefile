@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library install install-node uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library amalgamation install install-node uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -76,6 +76,9 @@ $(BUILD)/command: FORCE
 $(PACKAGES:%=$(BUILD)/%): $(BUILD)/%: tools/package/%.in include/zygos/types.h $(BUILD)/command
 	sed -e 's/@VERSION@/$(shell sed -n 's/^#define ZYGOS_VERSION_M[A-Z]* //p' include/zygos/types.h | paste -sd .)/' \
 		-e 's/@SIZES@/$(SIZES)/' $< >$@
+
+amalgamation: ## the library as one file: build/amalgamation/zygos.c, with its headers in zygos/ (BUILD=)
+	$(PYTHON) tools/amalgamate.py $(BUILD)/amalgamation
 
 install: export TO = $(DESTDIR)$(PREFIX)
 install: $(LIBRARY) $(PACKAGES:%=$(BUILD)/%) ## library, headers, DBC, pkg-config and CMake files (PREFIX=/usr/local DESTDIR=)

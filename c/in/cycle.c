@@ -32,14 +32,14 @@ bool zygos_receiver_intact(const zygos_receiver_t *self)
     return (head <= (uint32_t)ZYGOS_CYCLE_QUEUE) && (self->queue.tail <= (uint32_t)ZYGOS_CYCLE_QUEUE);
 }
 
-static uint32_t behind(uint32_t place)
+static uint32_t behind_cycle(uint32_t place)
 {
     return (place == ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
 }
 
 /* Turned by 1..31 places. For a place that is not known before, a core of 32 bits needs many instructions unless it is
    told that none is beyond a half. */
-static uint64_t turned(uint64_t bits, uint32_t place)
+static uint64_t turned_bits(uint64_t bits, uint32_t place)
 {
     if (sizeof(uintptr_t) == sizeof(uint32_t)) {
         const uint32_t low = (uint32_t)bits;
@@ -55,13 +55,13 @@ static uint64_t turned(uint64_t bits, uint32_t place)
    joint before it. These are turned by what they differ in before they are turned together. */
 static uint64_t folded_joint(double q, double theta, double tau)
 {
-    return zygos_bits_of(q) ^ turned(zygos_bits_of(theta), 1u) ^ turned(zygos_bits_of(tau), 2u);
+    return zygos_bits_of(q) ^ turned_bits(zygos_bits_of(theta), 1u) ^ turned_bits(zygos_bits_of(tau), 2u);
 }
 
 static uint64_t folded_rates(const double *omega)
 {
-    return turned(zygos_bits_of(omega[0]), 1u) ^ turned(zygos_bits_of(omega[1]), 2u) ^
-           turned(zygos_bits_of(omega[2]), 3u);
+    return turned_bits(zygos_bits_of(omega[0]), 1u) ^ turned_bits(zygos_bits_of(omega[1]), 2u) ^
+           turned_bits(zygos_bits_of(omega[2]), 3u);
 }
 
 /* Of what is known when a cycle is complete. */
@@ -82,16 +82,16 @@ bool zygos_receiver_front_is_whole(const zygos_receiver_t *self, const zygos_con
     const zygos_cycle_t *cycle = &self->queue.slot[self->queue.tail];
     uint64_t fold = 0;
     for (uint32_t i = config->joints; i > 0; i--) { /* each is turned by 3 for each joint before it */
-        fold = turned(fold, 3u) ^ folded_joint(cycle->q[i - 1u], cycle->theta[i - 1u], cycle->tau[i - 1u]);
+        fold = turned_bits(fold, 3u) ^ folded_joint(cycle->q[i - 1u], cycle->theta[i - 1u], cycle->tau[i - 1u]);
     }
-    fold = turned(fold, 4u) ^ fold_of_head(cycle);
+    fold = turned_bits(fold, 4u) ^ fold_of_head(cycle);
     fold ^= (config->imu_node != 0) ? folded_rates(cycle->omega) : 0u;
     return fold == self->queue.fold[self->queue.tail];
 }
 
 void zygos_receiver_pop(zygos_receiver_t *self)
 {
-    __atomic_store_n(&self->queue.tail, behind(self->queue.tail), __ATOMIC_RELEASE);
+    __atomic_store_n(&self->queue.tail, behind_cycle(self->queue.tail), __ATOMIC_RELEASE);
 }
 
 uint32_t zygos_receiver_discard(zygos_receiver_t *self)
@@ -136,19 +136,19 @@ static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
 /* Adds readings of a joint that have been stored, 0 for the others, and stores a rate of the gyro. */
 static void fold_joint(zygos_receiver_t *self, uint32_t joint, uint64_t readings)
 {
-    self->assembly.fold ^= turned(readings, 4u + 3u * joint);
+    self->assembly.fold ^= turned_bits(readings, 4u + 3u * joint);
 }
 
 static void store_rate(zygos_receiver_t *self, uint32_t axis, double rate)
 {
     open_cycle(self)->omega[axis] = rate;
-    self->assembly.fold ^= turned(zygos_bits_of(rate), 1u + axis);
+    self->assembly.fold ^= turned_bits(zygos_bits_of(rate), 1u + axis);
 }
 
 static void push(zygos_receiver_t *self)
 {
     zygos_queue_t *queue = &self->queue;
-    const uint32_t next = behind(queue->head);
+    const uint32_t next = behind_cycle(queue->head);
     if (next == __atomic_load_n(&queue->tail, __ATOMIC_ACQUIRE)) {
         self->faults.overrun++;
         self->faults.dropped++;
@@ -188,7 +188,7 @@ static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
 }
 
 /* What is rare is not inline, so that a usual frame saves fewer registers. */
-__attribute__((noinline)) static int reject(zygos_receiver_t *self, uint32_t *fault)
+__attribute__((noinline)) static int reject_frame(zygos_receiver_t *self, uint32_t *fault)
 {
     (*fault)++;
     self->status.last_verdict = ZYGOS_REJECTED;
@@ -198,13 +198,14 @@ __attribute__((noinline)) static int reject(zygos_receiver_t *self, uint32_t *fa
 static int spoil(zygos_receiver_t *self, uint32_t *fault)
 {
     self->status.spoiled = 1;
-    return reject(self, fault);
+    return reject_frame(self, fault);
 }
 
 __attribute__((noinline)) static int reject_wire(zygos_receiver_t *self, int fault)
 {
     zygos_faults_t *f = &self->faults;
-    return reject(self, (fault == ZYGOS_WIRE_LENGTH) ? &f->length : ((fault == ZYGOS_WIRE_CRC) ? &f->crc : &f->range));
+    return reject_frame(self,
+                        (fault == ZYGOS_WIRE_LENGTH) ? &f->length : ((fault == ZYGOS_WIRE_CRC) ? &f->crc : &f->range));
 }
 
 static int accept(zygos_receiver_t *self)
@@ -276,12 +277,12 @@ __attribute__((noinline)) static int take_time(zygos_receiver_t *self, const zyg
     }
     zygos_assembly_t *a = &self->assembly;
     if (a->counter == 0) {
-        return reject(self, &self->faults.unsynced);
+        return reject_frame(self, &self->faults.unsynced);
     }
     if ((record.sync != a->counter) || (record.counter != (a->counter & 0x0Fu))) {
         const uint32_t behind = (a->counter + ZYGOS_SYNC_MODULUS - record.sync) % ZYGOS_SYNC_MODULUS;
         const bool late = (behind == 1) && (record.counter == (record.sync & 0x0Fu));
-        return reject(self, late ? &self->faults.late : &self->faults.counter);
+        return reject_frame(self, late ? &self->faults.late : &self->faults.counter);
     }
     if (a->timed == RESUMED) {
         catch_up(self, config, record.time_us);
@@ -426,12 +427,12 @@ static inline bool is_due(zygos_receiver_t *self, const zygos_frame_t *frame, in
         return false;
     }
     if (a->counter == 0) {
-        (void)reject(self, &self->faults.unsynced);
+        (void)reject_frame(self, &self->faults.unsynced);
         return false;
     }
     if (counter != (a->counter & 0x0Fu)) {
         const bool late = (counter == ((a->counter + 15u) & 0x0Fu));
-        (void)reject(self, late ? &self->faults.late : &self->faults.counter);
+        (void)reject_frame(self, late ? &self->faults.late : &self->faults.counter);
         return false;
     }
     if ((a->received & bit) != 0) {
@@ -505,7 +506,7 @@ __attribute__((noinline)) static int take_fine_rate(zygos_receiver_t *self, cons
         return ZYGOS_FOREIGN;
     }
     if (self->assembly.counter == 0) {
-        return reject(self, &self->faults.unsynced);
+        return reject_frame(self, &self->faults.unsynced);
     }
     return spoil(self, &self->faults.gyro_invalid);
 }

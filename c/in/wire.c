@@ -44,7 +44,7 @@ static uint32_t get32(const uint8_t *p)
     return zygos_wire_u16(p) | (zygos_wire_u16(p + 2) << 16);
 }
 
-static void put(uint8_t *p, uint32_t value, uint32_t bytes)
+static void put_field(uint8_t *p, uint32_t value, uint32_t bytes)
 {
     for (uint32_t i = 0; i < bytes; i++) {
         p[i] = (uint8_t)(value >> (8u * i));
@@ -61,11 +61,11 @@ typedef struct {
     uint32_t id;
     uint8_t length; /* 0: there is no such message */
     uint8_t f;
-} layout_t;
+} frame_layout_t;
 
-static layout_t column_map(uint32_t message)
+static frame_layout_t column_map(uint32_t message)
 {
-    static const layout_t known[] = {
+    static const frame_layout_t known[] = {
         [ZYGOS_MSG_SYNC] = { ZYGOS_ID_SYNC, 1, 0 },    [ZYGOS_MSG_ANGLES] = { ZYGOS_ID_TPDO1, 8, 0 },
         [ZYGOS_MSG_TORQUE] = { ZYGOS_ID_TPDO2, 8, 1 }, [ZYGOS_MSG_RATE_XY] = { ZYGOS_ID_TPDO1, 8, 0 },
         [ZYGOS_MSG_RATE_Z] = { ZYGOS_ID_TPDO3, 5, 2 }, [ZYGOS_MSG_RATE_COARSE] = { ZYGOS_ID_TPDO1, 8, 0 },
@@ -82,7 +82,7 @@ static bool is_counter(uint32_t sync)
 int zygos_wire_check(const zygos_frame_t *frame, uint32_t message, uint32_t node)
 {
     const uint8_t *d = frame->data;
-    const layout_t own = column_map(message);
+    const frame_layout_t own = column_map(message);
     if (own.length == 0) {
         return ZYGOS_WIRE_RANGE;
     }
@@ -148,7 +148,7 @@ int zygos_wire_encode(const zygos_record_t *record, uint32_t message, uint32_t n
         out->data[0] = record->sync;
         return 1;
     }
-    const layout_t own = column_map(message);
+    const frame_layout_t own = column_map(message);
     if (own.length == 0) {
         return 0;
     }
@@ -159,25 +159,25 @@ int zygos_wire_encode(const zygos_record_t *record, uint32_t message, uint32_t n
     d[1] = (uint8_t)((record->counter & 0x0Fu) | (uint32_t)(record->status << 4));
     switch (message) {
     case ZYGOS_MSG_TORQUE:
-        put(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
-        put(d + 5, record->latch_us, 2);
+        put_field(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
+        put_field(d + 5, record->latch_us, 2);
         d[7] = (uint8_t)record->temperature;
         break;
     case ZYGOS_MSG_RATE_Z:
-        put(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
+        put_field(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
         break;
     case ZYGOS_MSG_RATE_COARSE:
         for (uint32_t i = 0; i < 3; i++) {
-            put(d + 2 + 2 * i, (uint32_t)clamp(record->code[i], ZYGOS_CODE_I16_MIN, ZYGOS_CODE_I16_MAX), 2);
+            put_field(d + 2 + 2 * i, (uint32_t)clamp(record->code[i], ZYGOS_CODE_I16_MIN, ZYGOS_CODE_I16_MAX), 2);
         }
         break;
     case ZYGOS_MSG_FTIME:
         d[2] = record->sync;
-        put(d + 3, record->time_us, 4);
+        put_field(d + 3, record->time_us, 4);
         break;
     default:
-        put(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
-        put(d + 5, (uint32_t)clamp(record->code[1], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
+        put_field(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
+        put_field(d + 5, (uint32_t)clamp(record->code[1], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
         break;
     }
     d[0] = zygos_wire_crc(d, own.length, own.f, node);
@@ -214,7 +214,7 @@ void zygos_wire_encode_telemetry(uint8_t counter, uint8_t index, uint8_t kind, f
     out->data[3] = kind;
     uint32_t bits;
     memcpy(&bits, &value, sizeof bits);
-    put(out->data + 4, bits, 4);
+    put_field(out->data + 4, bits, 4);
     out->data[0] = zygos_wire_crc(out->data, 8, 3, ZYGOS_NODE_COMPUTER);
 }
 

@@ -1,5 +1,6 @@
 #include "zygos/priv/arm.h"
 
+#include "zygos/priv/numbers.h"
 #include "zygos/priv/tables.h"
 
 #include <float.h>
@@ -37,19 +38,9 @@ uint32_t zygos_abi(void)
     return ZYGOS_ABI;
 }
 
-static bool within(double x, double low, double high)
-{
-    return (x >= low) && (x <= high);
-}
-
 static bool is_sign(double x)
 {
-    return within(x, 1.0, 1.0) || within(x, -1.0, -1.0);
-}
-
-static double dot3(const double *a, const double *b)
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    return zygos_within(x, 1.0, 1.0) || zygos_within(x, -1.0, -1.0);
 }
 
 static bool is_rotation(const double *r)
@@ -58,7 +49,7 @@ static bool is_rotation(const double *r)
     for (uint32_t i = 0; i < 3; i++) {
         for (uint32_t j = 0; j <= i; j++) {
             const double target = (i == j) ? 1.0 : 0.0;
-            good = good && within(dot3(&r[3u * i], &r[3u * j]), target - 1e-9, target + 1e-9);
+            good = good && zygos_within(zygos_dot3(&r[3u * i], &r[3u * j]), target - 1e-9, target + 1e-9);
         }
     }
     const double determinant =
@@ -81,30 +72,31 @@ static bool axis_fits(const zygos_config_t *config, uint32_t i)
 {
     const zygos_joint_config_t *joint = &config->joint[i];
     const bool in_plane = (config->kinetic != ZYGOS_SPATIAL_ARM);
-    return within(dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) &&
-           (in_plane ? within(dot3(joint->axis, config->joint[0].axis), 1.0 - 1e-9, 1.0 + 1e-9)
+    return zygos_within(zygos_dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) &&
+           (in_plane ? zygos_within(zygos_dot3(joint->axis, config->joint[0].axis), 1.0 - 1e-9, 1.0 + 1e-9)
                      : is_rotation(joint->frame));
 }
 
 static bool encoder_fits(double sign, double zero_rad, double sigma_rad, double latch_s, double period_s)
 {
-    return is_sign(sign) && within(zero_rad, -1e3, 1e3) && within(sigma_rad, 0.0, 1.0) &&
-           within(latch_s, 0.0, period_s);
+    return is_sign(sign) && zygos_within(zero_rad, -1e3, 1e3) && zygos_within(sigma_rad, 0.0, 1.0) &&
+           zygos_within(latch_s, 0.0, period_s);
 }
 
 static bool drive_fits(const zygos_config_t *config, uint32_t i)
 {
     const zygos_joint_config_t *joint = &config->joint[i];
     const double latch_s = 1e-6 * joint->latch_us;
-    const bool motor = within(joint->gear_ratio, 1e-3, 1e6) &&
+    const bool motor = zygos_within(joint->gear_ratio, 1e-3, 1e6) &&
                        encoder_fits(joint->motor_sign, joint->motor_zero_rad, joint->motor_sigma_rad,
                                     joint->motor_latch_s + latch_s, config->period_s);
     const bool link =
         (joint->rigid == 1u) ||
         ((joint->rigid == 0u) && encoder_fits(joint->link_sign, joint->link_zero_rad, joint->link_sigma_rad,
                                               joint->link_latch_s + latch_s, config->period_s));
-    const bool torque = within(joint->torque_sigma, 0.0, LARGEST_VALUE) &&
-                        within(joint->torque_relative_sigma, 0.0, 1.0) && within(joint->torque_gain_sigma, 0.0, 1.0);
+    const bool torque = zygos_within(joint->torque_sigma, 0.0, LARGEST_VALUE) &&
+                        zygos_within(joint->torque_relative_sigma, 0.0, 1.0) &&
+                        zygos_within(joint->torque_gain_sigma, 0.0, 1.0);
     return motor && link && torque;
 }
 
@@ -123,10 +115,10 @@ static bool base_fits(const zygos_config_t *config)
 {
     const double *g = config->gravity;
     if (config->base == ZYGOS_BASE_FREE) {
-        return within(dot3(g, g), 0.0, 0.0);
+        return zygos_within(zygos_dot3(g, g), 0.0, 0.0);
     }
     return (config->base == ZYGOS_BASE_FIXED) && (config->imu_node == 0) && (config->momentum_arc_cycles == 0) &&
-           within(dot3(g, g), 0.0, 1e6);
+           zygos_within(zygos_dot3(g, g), 0.0, 1e6);
 }
 
 /* Whether an increment is even, has enough steps, and leaves a cycle for the row of each joint before the last three
@@ -163,8 +155,8 @@ static bool gyro_node_fits(const zygos_config_t *config)
 static bool values_fit(const zygos_config_t *config)
 {
     return (config->imu_fine <= 1u) && is_rotation(config->imu_to_base) &&
-           within(config->imu_latch_s, 0.0, config->period_s) && within(config->imu_sigma, 0.0, 1.0) &&
-           within(config->forgetting_factor, 0.9, 1.0) && (config->compensation <= 2u * ZYGOS_MAX_JOINTS + 3u);
+           zygos_within(config->imu_latch_s, 0.0, config->period_s) && zygos_within(config->imu_sigma, 0.0, 1.0) &&
+           zygos_within(config->forgetting_factor, 0.9, 1.0) && (config->compensation <= 2u * ZYGOS_MAX_JOINTS + 3u);
 }
 
 /* Checks what the others need to find their way in a configuration, and the base. */
@@ -191,7 +183,7 @@ int zygos_config_check(const zygos_config_t *config)
     if (kind < 0) {
         return kind;
     }
-    if (!within(config->period_s, 1e-5, 0.065)) {
+    if (!zygos_within(config->period_s, 1e-5, 0.065)) {
         return ZYGOS_E_PERIOD;
     }
     if (config->torque_law > ZYGOS_TORQUE_SAMPLED) {
@@ -219,11 +211,6 @@ int zygos_config_check(const zygos_config_t *config)
     return (effects < 0) ? effects : zygos_reduction_check(config);
 }
 
-static uint32_t least(uint32_t a, uint32_t b)
-{
-    return (a < b) ? a : b;
-}
-
 /* Continues a fold of counts. The factor is odd, so that a flipped bit always changes the product, and in a way that
    none of another count makes good. */
 static inline uint32_t with_count(uint32_t fold, uint32_t count)
@@ -247,13 +234,13 @@ static uint32_t further_places_of(const zygos_arm_t *self, uint32_t counts)
         fold = with_count(with_count(with_count(fold, config->base), config->kinetic), sums->width);
         fold = with_count(with_count(with_count(fold, sums->increments), sums->slice), sums->share);
     }
-    for (uint32_t e = 0; e < least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
+    for (uint32_t e = 0; e < zygos_least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
         fold = with_count(with_count(fold, config->effect[e].kind), config->effect[e].joint);
         for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
             fold = with_count(fold, self->sums.motors.column_map.effect[i][e]);
         }
     }
-    for (uint32_t k = 0; k < least(config->reductions, (uint32_t)ZYGOS_MAX_REDUCTION); k++) {
+    for (uint32_t k = 0; k < zygos_least(config->reductions, (uint32_t)ZYGOS_MAX_REDUCTION); k++) {
         fold = with_count(with_count(fold, config->reduction[k].column), config->reduction[k].parameter);
     }
     return fold;
@@ -803,7 +790,7 @@ int zygos_arm_resume(zygos_arm_t *self, const zygos_config_t *config)
 
 /* Ends the arcs before a cycle whose values must not be used, and counts it. Flags that have changed with the values
    drop an arc at worst. */
-static void leave_out(zygos_arm_t *self, const zygos_cycle_t *cycle)
+static void leave_cycle_out(zygos_arm_t *self, const zygos_cycle_t *cycle)
 {
     self->invalid++;
     self->instant = 0;
@@ -832,7 +819,7 @@ int zygos_arm_step(zygos_arm_t *self)
     if (zygos_receiver_front_is_whole(&self->receiver, &self->sums.config)) {
         process_cycle(self, cycle);
     } else {
-        leave_out(self, cycle);
+        leave_cycle_out(self, cycle);
     }
     self->moving = moving_of(self);
     zygos_receiver_pop(&self->receiver);
@@ -843,12 +830,12 @@ static bool usable(const zygos_config_t *config, const zygos_cycle_t *cycle)
 {
     bool good = (cycle->flags & ZYGOS_CYCLE_INVALID) == 0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        good = good && ((config->joint[i].rigid != 0) || within(cycle->q[i], -LARGEST_ANGLE, LARGEST_ANGLE)) &&
-               within(cycle->theta[i], -LARGEST_ANGLE, LARGEST_ANGLE) &&
-               within(cycle->tau[i], -LARGEST_VALUE, LARGEST_VALUE);
+        good = good && ((config->joint[i].rigid != 0) || zygos_within(cycle->q[i], -LARGEST_ANGLE, LARGEST_ANGLE)) &&
+               zygos_within(cycle->theta[i], -LARGEST_ANGLE, LARGEST_ANGLE) &&
+               zygos_within(cycle->tau[i], -LARGEST_VALUE, LARGEST_VALUE);
     }
     for (uint32_t i = 0; (i < 3) && (config->base == ZYGOS_BASE_FREE); i++) {
-        good = good && within(cycle->omega[i], -LARGEST_VALUE, LARGEST_VALUE);
+        good = good && zygos_within(cycle->omega[i], -LARGEST_VALUE, LARGEST_VALUE);
     }
     return good;
 }
@@ -865,7 +852,7 @@ int zygos_arm_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
         return ZYGOS_E_STATE;
     }
     if (!usable(&self->sums.config, cycle)) {
-        leave_out(self, cycle);
+        leave_cycle_out(self, cycle);
         self->moving = moving_of(self);
         return 0;
     }
@@ -944,7 +931,7 @@ int zygos_arm_check(const zygos_arm_t *self, const zygos_config_t *config, zygos
 }
 
 /* Drops what has not ended: windows, integrals and open arcs. */
-static void drop_open(zygos_arm_t *self)
+static void drop_unended(zygos_arm_t *self)
 {
     zygos_smoother_reset(&self->smoother);
     self->smoother.position = 0;
@@ -972,7 +959,7 @@ static uint32_t scrub_places(zygos_arm_t *self)
         found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
     }
     if (!is_steady(self)) {
-        drop_open(self);
+        drop_unended(self);
         found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
     }
     if (!zygos_guard_intact(&self->sums.guard)) {
@@ -1015,7 +1002,7 @@ static void drop_unverified(zygos_arm_t *self)
     if (self->sums.joints.end > trusted) { /* segments cannot be taken out of a group */
         zygos_joint_sums_clear(&self->sums.joints);
     }
-    drop_open(self);
+    drop_unended(self);
     zygos_guard_clear(&self->sums.guard, false, self->sums.cycle);
 }
 

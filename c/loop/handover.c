@@ -1,6 +1,7 @@
 #include "zygos/priv/handover.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -46,11 +47,6 @@ static void copy(piece_t what)
     }
 }
 
-static uint32_t least(uint32_t a, uint32_t b)
-{
-    return (a < b) ? a : b;
-}
-
 static void cut_store(const zygos_store_t *from, zygos_store_t *to)
 {
     copy(SPAN(to, from, zygos_store_t, count, scan));
@@ -59,7 +55,7 @@ static void cut_store(const zygos_store_t *from, zygos_store_t *to)
 /* Of closed arcs, and behind them that of the closing arc. */
 static uint32_t ended_blocks(const zygos_store_t *sums, uint32_t places)
 {
-    return least(sums->fresh, places);
+    return zygos_least(sums->fresh, places);
 }
 
 /* ---------------------------------------------------------------- energy rows */
@@ -67,7 +63,7 @@ static uint32_t ended_blocks(const zygos_store_t *sums, uint32_t places)
 /* A width that is not possible is found by the cycle that follows; here it only must not lead out of memory. */
 static uint32_t energy_width(const zygos_accumulator_t *from)
 {
-    const uint32_t width = least(from->width, (uint32_t)ZYGOS_MAX_ROW);
+    const uint32_t width = zygos_least(from->width, (uint32_t)ZYGOS_MAX_ROW);
     return (width > 0) ? width : 1u;
 }
 
@@ -251,7 +247,7 @@ static bool energy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_
         COPY_SUMS(&from->noise_open[closing], &to->noise_open[closing], width - 1u);
     } else if (unit == 1u) {
         COPY_SUMS(&from->noise_closed, &to->noise_closed, width - 1u);
-    } else if (unit - 2u < least(to->store.count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
+    } else if (unit - 2u < zygos_least(to->store.count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
         cut_block(self, from, to, to->store.order[unit - 2u]);
     } else {
         return false;
@@ -261,9 +257,9 @@ static bool energy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_
 
 /* ---------------------------------------------------------------- motor rows */
 
-static uint32_t joints_of(const zygos_sums_t *sums)
+static uint32_t joints_copied(const zygos_sums_t *sums)
 {
-    return least(sums->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
+    return zygos_least(sums->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
 }
 
 static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t *to, uint32_t joints)
@@ -276,9 +272,9 @@ static void cut_motors(const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_motor_sums_t *from = &sums->motors;
     zygos_motor_sums_t *to = &out->motors;
-    const uint32_t open = least(from->store.open, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS);
+    const uint32_t open = zygos_least(from->store.open, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS);
     cut_store(&from->store, &to->store);
-    cut_motor_block(&from->block[open], &to->block[open], joints_of(sums));
+    cut_motor_block(&from->block[open], &to->block[open], joints_copied(sums));
 }
 
 /* The tables, then block by block, the closing arc last. */
@@ -286,7 +282,7 @@ static bool motor_unit(const zygos_handover_t *self, const zygos_sums_t *sums, z
 {
     const zygos_motor_sums_t *from = &sums->motors;
     zygos_motor_sums_t *to = &out->motors;
-    const uint32_t joints = joints_of(sums);
+    const uint32_t joints = joints_copied(sums);
     if (self->unit == 0) {
         copy(SPAN(to, from, zygos_motor_sums_t, column_map, block));
         to->store.scan = from->store.scan;
@@ -304,7 +300,7 @@ static bool motor_unit(const zygos_handover_t *self, const zygos_sums_t *sums, z
 
 static uint32_t momentum_width(const zygos_momentum_sums_t *from)
 {
-    return least(from->columns + 3u, (uint32_t)ZYGOS_MAX_MOMENTUM_ROW);
+    return zygos_least(from->columns + 3u, (uint32_t)ZYGOS_MAX_MOMENTUM_ROW);
 }
 
 static void cut_momentum_block(const zygos_momentum_sums_t *from, zygos_momentum_sums_t *to, uint32_t place)
@@ -322,7 +318,7 @@ static void cut_momentum(const zygos_sums_t *sums, zygos_sums_t *out)
     cut_store(&from->store, &to->store);
     copy(SPAN(to, from, zygos_momentum_sums_t, columns, deviation));
     COPY_SUMS(&from->noise_open[open], &to->noise_open[open], width);
-    cut_momentum_block(from, to, least(from->store.open, (uint32_t)ZYGOS_MOMENTUM_PLACES));
+    cut_momentum_block(from, to, zygos_least(from->store.open, (uint32_t)ZYGOS_MOMENTUM_PLACES));
 }
 
 /* The tables with the noise of the closing arc, that of the closed ones, then block by block, the closing arc last. */
@@ -354,7 +350,7 @@ static bool momentum_unit(const zygos_handover_t *self, const zygos_sums_t *sums
 
 static uint32_t joint_width(const zygos_joint_sums_t *from)
 {
-    return least(from->width, (uint32_t)ZYGOS_MAX_JOINT_ROW);
+    return zygos_least(from->width, (uint32_t)ZYGOS_MAX_JOINT_ROW);
 }
 
 static void cut_segment(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, uint32_t s)
@@ -395,7 +391,7 @@ static void cut_joints(const zygos_sums_t *sums, zygos_sums_t *out)
         cut_segment(from, to, filling ^ 1u);
         COPY_SUMS(&from->noise, &to->noise, joint_width(from));
         COPY_SUMS(&from->joints, &to->joints, joint_width(from));
-        cut_group(from, to, least(from->target, (uint32_t)ZYGOS_SET_ASIDE));
+        cut_group(from, to, zygos_least(from->target, (uint32_t)ZYGOS_SET_ASIDE));
     }
 }
 
@@ -433,7 +429,7 @@ static void cut_guard(const zygos_sums_t *sums, zygos_sums_t *out)
 static bool guard_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_guard_t *from = &sums->guard;
-    const uint32_t p = least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
+    const uint32_t p = zygos_least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
     if (self->unit == 0) {
         copy(SPAN(&out->guard, from, zygos_guard_t, checksum, covariance));
         copy(piece(out->guard.covariance, from->covariance, zygos_gram_entries(p)));

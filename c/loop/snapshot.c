@@ -23,7 +23,7 @@ static bool has_magic(const uint8_t *head)
 #define LENGTH 16u
 #define CRC 20u
 
-static void put(uint8_t *out, uint32_t value, uint32_t bytes)
+static void put_word(uint8_t *out, uint32_t value, uint32_t bytes)
 {
     for (uint32_t i = 0; i < bytes; i++) {
         out[i] = (uint8_t)(value >> (8u * i));
@@ -54,7 +54,7 @@ static uint32_t crc32c(uint32_t crc, const uint8_t *data, uint32_t length)
     return crc;
 }
 
-static uint32_t checksum_of(const uint8_t *head, const uint8_t *image, uint32_t size)
+static uint32_t snapshot_crc(const uint8_t *head, const uint8_t *image, uint32_t size)
 {
     return ~crc32c(crc32c(0xFFFFFFFFu, head, CRC), image, size);
 }
@@ -87,12 +87,12 @@ int zygos_snapshot_seal(uint32_t kind, const void *image, uint8_t *head)
         return ZYGOS_E_KIND;
     }
     memcpy(head, magic, sizeof magic);
-    put(head + FORMAT, ZYGOS_SNAPSHOT_FORMAT, 2);
-    put(head + KIND, kind, 1);
+    put_word(head + FORMAT, ZYGOS_SNAPSHOT_FORMAT, 2);
+    put_word(head + KIND, kind, 1);
     head[BYTE_ORDER_OF_IMAGE] = byte_order();
-    put(head + LAYOUT, ZYGOS_ABI, 4);
-    put(head + LENGTH, size, 4);
-    put(head + CRC, checksum_of(head, (const uint8_t *)image, size), 4);
+    put_word(head + LAYOUT, ZYGOS_ABI, 4);
+    put_word(head + LENGTH, size, 4);
+    put_word(head + CRC, snapshot_crc(head, (const uint8_t *)image, size), 4);
     return 1;
 }
 
@@ -120,5 +120,5 @@ int zygos_snapshot_check(uint32_t kind, const uint8_t *head, const void *image, 
     if ((get(head + LENGTH, 4) != size) || (length - ZYGOS_SNAPSHOT_HEAD != size)) {
         return ZYGOS_E_LENGTH;
     }
-    return (get(head + CRC, 4) == checksum_of(head, (const uint8_t *)image, size)) ? 1 : ZYGOS_E_CRC;
+    return (get(head + CRC, 4) == snapshot_crc(head, (const uint8_t *)image, size)) ? 1 : ZYGOS_E_CRC;
 }

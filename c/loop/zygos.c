@@ -118,9 +118,14 @@ static const zygos_config_t *config_of(const zygos_given_t *given)
     return (const zygos_config_t *)given->config;
 }
 
+static zygos_background_t *memory_of_background(const zygos_given_t *given)
+{
+    return (zygos_background_t *)given->memory;
+}
+
 static zygos_background_t *background_of(const zygos_given_t *given)
 {
-    return (given->background != 0) ? (zygos_background_t *)given->memory : NULL;
+    return (given->background != 0) ? memory_of_background(given) : NULL;
 }
 
 static zygos_in_place_t *in_place_of(const zygos_given_t *given)
@@ -137,12 +142,11 @@ static zygos_estimate_t *estimate_of(const zygos_given_t *given)
 /* What zygos_solve() has left must still be that when zygos_step() adopts it. */
 static uint64_t *seal_of(const zygos_given_t *given)
 {
-    zygos_background_t *background = background_of(given);
-    return (background != NULL) ? &background->seal : &in_place_of(given)->seal;
+    return (given->background != 0) ? &memory_of_background(given)->seal : &in_place_of(given)->seal;
 }
 
 /* Of the covariance, which is long, only where it is used: where sums are dropped with the estimate. */
-static uint64_t checksum_of(const zygos_given_t *given, const zygos_estimate_t *estimate)
+static uint64_t estimate_checksum(const zygos_given_t *given, const zygos_estimate_t *estimate)
 {
     const uint32_t most = (uint32_t)ZYGOS_MAX_PARAMETERS;
     const uint32_t p = (estimate->parameters < most) ? estimate->parameters : most;
@@ -419,13 +423,13 @@ static bool is_compared(zygos_t *self, const zygos_given_t *given)
         return true;
     }
     self->state.beside = 1u;
-    self->adopting = (*seal_of(given) == checksum_of(given, estimate_of(given))) ? SET : SPOILED;
+    self->adopting = (*seal_of(given) == estimate_checksum(given, estimate_of(given))) ? SET : SPOILED;
     return self->adopting != SET;
 }
 
 /* Gives the guard what it compares arcs with. Sums that are found corrupt are looked at, and given up where nothing is
    found so often in a row. */
-static void use(zygos_t *self, const zygos_given_t *given, bool whole, bool current)
+static void use_estimate(zygos_t *self, const zygos_given_t *given, bool whole, bool current)
 {
     zygos_background_t *background = background_of(given);
     const zygos_estimate_t *estimate = estimate_of(given);
@@ -462,7 +466,7 @@ static void adopt(zygos_t *self, const zygos_given_t *given)
     self->waited = 0;
     const bool current = whole && (((background != NULL) ? background->of : in_place_of(given)->of) == self->restarts);
     self->repairs += whole ? 0u : 1u; /* an estimate that was changed since is not used */
-    use(self, given, whole, current);
+    use_estimate(self, given, whole, current);
     if (current) {
         judge(self, given);
     }
@@ -887,7 +891,7 @@ int zygos_solve(zygos_t *self, zygos_estimate_t *out)
     }
     age(estimate, config);
     *out = *estimate;
-    *seal_of(&given) = checksum_of(&given, estimate);
+    *seal_of(&given) = estimate_checksum(&given, estimate);
     const bool current = (of == __atomic_load_n(&self->restarts, __ATOMIC_ACQUIRE));
     move_to(self, ZYGOS_STAGE_SOLVED);
     return current ? 1 : 0;

@@ -1,22 +1,12 @@
 #include "zygos/priv/propagation.h"
 
+#include "zygos/priv/numbers.h"
+
 #include <string.h>
 
 /* A vector in each body, such as the change of its angular velocity. */
 typedef double bodies_t[ZYGOS_MAX_JOINTS + 1][3];
 typedef double directions_t[ZYGOS_MAX_DIRECTIONS][3];
-
-static double dot(const double *a, const double *b)
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static void cross(const double *a, const double *b, double *out)
-{
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
 
 static void add(double *out, double factor, const double *a)
 {
@@ -28,7 +18,7 @@ static void add(double *out, double factor, const double *a)
 static void add_cross(double *out, const double *a, const double *b)
 {
     double product[3];
-    cross(a, b, product);
+    zygos_cross3(a, b, product);
     add(out, 1.0, product);
 }
 
@@ -42,7 +32,7 @@ static uint8_t direction_of(const zygos_propagation_t *self, uint32_t body, uint
     return (uint8_t)(at + side);
 }
 
-static void pair(zygos_propagation_t *self, uint32_t first, uint32_t second, double sign)
+static void add_product(zygos_propagation_t *self, uint32_t first, uint32_t second, double sign)
 {
     self->first[self->pairs] = (uint8_t)first;
     self->second[self->pairs] = (uint8_t)second;
@@ -56,7 +46,7 @@ static void spatial_pairs(zygos_propagation_t *self, bool floats)
         for (uint32_t b = a; b < self->directions; b++) {
             /* body 1 on a fixed base turns about its axis only: two of its three entries have no column */
             if (floats || (b > 1u) || (b == 0u) || (a > 1u)) {
-                pair(self, a, b, 1.0);
+                add_product(self, a, b, 1.0);
             }
         }
     }
@@ -66,12 +56,12 @@ static void planar_pairs(zygos_propagation_t *self, const zygos_config_t *config
 {
     for (uint32_t i = first; i <= config->joints; i++) {
         for (uint32_t j = i; j <= config->joints; j++) {
-            pair(self, direction_of(self, i, 0), direction_of(self, j, 0), 1.0);
+            add_product(self, direction_of(self, i, 0), direction_of(self, j, 0), 1.0);
         }
     }
     for (uint32_t i = first; (i <= config->joints) && (config->kinetic == ZYGOS_PLANAR); i++) {
         for (uint32_t j = i + 1u; j <= config->joints; j++) {
-            pair(self, direction_of(self, i, 1), direction_of(self, j, 0), self->geometry.handedness[0]);
+            add_product(self, direction_of(self, i, 1), direction_of(self, j, 0), self->geometry.handedness[0]);
         }
     }
 }
@@ -212,8 +202,8 @@ static void place(const zygos_propagation_t *self, const zygos_config_t *config,
 }
 
 /* out_a = sum N_ab in_b; in_b is zero for b < from. */
-static void weigh(const zygos_propagation_t *self, const zygos_dynamics_t *dynamics, uint32_t from,
-                  const double (*in)[3], double (*out)[3])
+static void weigh_directions(const zygos_propagation_t *self, const zygos_dynamics_t *dynamics, uint32_t from,
+                             const double (*in)[3], double (*out)[3])
 {
     for (uint32_t a = 0; a < self->directions; a++) {
         const double *row = dynamics->matrix[a];
@@ -248,11 +238,11 @@ static void project(const zygos_propagation_t *self, uint32_t n, const zygos_pro
     for (uint32_t i = n; i > 0u; i--) {
         add(sum, 1.0, torque[i]);
         memcpy(beyond[i - 1u], sum, sizeof sum);
-        out[self->base_rates + i - 1u] = dot(work->axis[i - 1u], sum);
+        out[self->base_rates + i - 1u] = zygos_dot3(work->axis[i - 1u], sum);
     }
     add(sum, 1.0, torque[0]);
     for (uint32_t k = 0; k < self->base_rates; k++) {
-        out[k] = dot(work->base_axis[k], sum);
+        out[k] = zygos_dot3(work->base_axis[k], sum);
     }
 }
 
@@ -304,13 +294,13 @@ static bool inertia(const zygos_propagation_t *self, const zygos_config_t *confi
         uint32_t from = 0;
         for (uint32_t a = 0; a < self->directions; a++) {
             from += (self->body[a] < moved) ? 1u : 0u;
-            cross(w, work->direction[a], change[a]);
+            zygos_cross3(w, work->direction[a], change[a]);
         }
-        weigh(self, dynamics, from, (const double(*)[3])change, force);
+        weigh_directions(self, dynamics, from, (const double(*)[3])change, force);
         turn(self, (const double(*)[3])work->direction, (const double(*)[3])force, torque);
         project(self, n, work, (const double(*)[3])torque, beyond, column);
         for (uint32_t i = 0; i < n; i++) {
-            work->along[i][u] = (i >= moved) ? dot(work->axis[i], w) : 0.0;
+            work->along[i][u] = (i >= moved) ? zygos_dot3(work->axis[i], w) : 0.0;
         }
         for (uint32_t v = 0; v < size; v++) {
             work->mass[v][u] = column[v];
@@ -379,7 +369,7 @@ static void spin_bodies(const zygos_propagation_t *self, uint32_t n, const doubl
         add(work->omega[0], state[k], work->base_axis[k]);
     }
     for (uint32_t i = 0; i < n; i++) {
-        cross(work->omega[i], work->axis[i], work->lean[i]);
+        zygos_cross3(work->omega[i], work->axis[i], work->lean[i]);
         memcpy(work->omega[i + 1u], work->omega[i], sizeof work->omega[0]);
         add(work->omega[i + 1u], q_rate[i], work->axis[i]);
         memcpy(work->spin[i + 1u], work->spin[i], sizeof work->spin[0]);
@@ -412,7 +402,7 @@ static void load_bodies(const zygos_propagation_t *self, const zygos_config_t *c
         memcpy(work->acceleration[a], swing[a], sizeof work->acceleration[a]);
         add_cross(work->acceleration[a], work->spin[self->body[a]], work->direction[a]);
     }
-    weigh(self, dynamics, 0, (const double(*)[3])work->acceleration, work->force);
+    weigh_directions(self, dynamics, 0, (const double(*)[3])work->acceleration, work->force);
     for (uint32_t a = 0; a < self->directions; a++) {
         add(work->force[a], -dynamics->moment[a], config->gravity);
     }
@@ -436,8 +426,8 @@ static void accelerate(const zygos_propagation_t *self, const zygos_config_t *co
     for (uint32_t a = 0; a < self->directions; a++) {
         const double *omega = work->omega[self->body[a]];
         double rate[3];
-        cross(omega, work->direction[a], rate);
-        cross(omega, rate, swing[a]);
+        zygos_cross3(omega, work->direction[a], rate);
+        zygos_cross3(omega, rate, swing[a]);
     }
     load_bodies(self, config, dynamics, (const double(*)[3])swing, load, work);
     for (uint32_t i = 0; i < n; i++) {
@@ -451,7 +441,8 @@ static void accelerate(const zygos_propagation_t *self, const zygos_config_t *co
         double slope;
         const double drive = torque[i] - dynamics->friction[i] * friction_sign(theta_rate[i], &slope);
         work->y[w + i] -= spring;
-        work->y[w + n + i] = dynamics->rotor[i] * ratio * dot(work->axis[i], work->spin[i]) + spring - ratio * drive;
+        work->y[w + n + i] =
+            dynamics->rotor[i] * ratio * zygos_dot3(work->axis[i], work->spin[i]) + spring - ratio * drive;
     }
     solve(self, config, dynamics, work, work->y);
     add_accelerations(n, w, work);
@@ -501,8 +492,8 @@ static void turn_bodies(const zygos_propagation_t *self, const zygos_config_t *c
     for (uint32_t k = m; k < n; k++) {
         double *tilt = out->tilt[k];
         double bend[3];
-        cross(work->axis[m], work->axis[k], tilt);
-        cross(out->faster[k], work->axis[k], bend);
+        zygos_cross3(work->axis[m], work->axis[k], tilt);
+        zygos_cross3(out->faster[k], work->axis[k], bend);
         add_cross(bend, work->omega[k], tilt);
         memcpy(out->faster[k + 1u], out->faster[k], sizeof out->faster[k]);
         add(out->faster[k + 1u], q_rate[k], tilt);
@@ -538,28 +529,29 @@ static void by_angle(const zygos_propagation_t *self, const zygos_config_t *conf
         const double *omega = work->omega[body];
         double rate[3];
         double mixed[3];
-        cross(work->axis[m], rho, shift[a]);
-        cross(turned.later[body], rho, change[a]);
+        zygos_cross3(work->axis[m], rho, shift[a]);
+        zygos_cross3(turned.later[body], rho, change[a]);
         add_cross(change[a], work->spin[body], shift[a]);
-        cross(omega, rho, rate);
+        zygos_cross3(omega, rho, rate);
         add_cross(change[a], turned.faster[body], rate);
-        cross(turned.faster[body], rho, mixed);
+        zygos_cross3(turned.faster[body], rho, mixed);
         add_cross(mixed, omega, shift[a]);
         add_cross(change[a], omega, mixed);
         add_cross(turned.torque[body], shift[a], work->force[a]);
     }
-    weigh(self, dynamics, from, (const double(*)[3])change, force);
+    weigh_directions(self, dynamics, from, (const double(*)[3])change, force);
     turn(self, (const double(*)[3])work->direction, (const double(*)[3])force, turned.torque);
     project(self, n, work, (const double(*)[3])turned.torque, beyond, column);
     double sum[3] = { 0.0, 0.0, 0.0 };
     for (uint32_t k = n; k > m; k--) {
         /* an axis that is turned takes another component of the load beyond it */
         add(sum, 1.0, work->load[k]);
-        column[w + k - 1u] += dot(turned.tilt[k - 1u], sum);
+        column[w + k - 1u] += zygos_dot3(turned.tilt[k - 1u], sum);
     }
     for (uint32_t k = m; k < n; k++) {
         const double geared = dynamics->rotor[k] * config->joint[k].gear_ratio;
-        column[w + n + k] += geared * (dot(turned.tilt[k], work->spin[k]) + dot(work->axis[k], turned.later[k]));
+        column[w + n + k] +=
+            geared * (zygos_dot3(turned.tilt[k], work->spin[k]) + zygos_dot3(work->axis[k], turned.later[k]));
     }
     by_spring(self, n, m, dynamics->stiffness[m], column);
     put_state(self, config, dynamics, w + m, column, work);
@@ -589,7 +581,7 @@ static void by_rate(const zygos_propagation_t *self, const zygos_config_t *confi
     }
     for (uint32_t k = moved; k < n; k++) {
         double bend[3];
-        cross(own, work->axis[k], bend);
+        zygos_cross3(own, work->axis[k], bend);
         memcpy(later[k + 1u], later[k], sizeof later[k]);
         add(later[k + 1u], q_rate[k], bend);
         add(torque[k], dynamics->rotor[k] * config->joint[k].gear_ratio * theta_rate[k], bend);
@@ -604,17 +596,17 @@ static void by_rate(const zygos_propagation_t *self, const zygos_config_t *confi
         const double *omega = work->omega[body];
         double rate[3];
         double mixed[3];
-        cross(later[body], rho, change[a]);
-        cross(omega, rho, rate);
+        zygos_cross3(later[body], rho, change[a]);
+        zygos_cross3(omega, rho, rate);
         add_cross(change[a], own, rate);
-        cross(own, rho, mixed);
+        zygos_cross3(own, rho, mixed);
         add_cross(change[a], omega, mixed);
     }
-    weigh(self, dynamics, from, (const double(*)[3])change, force);
+    weigh_directions(self, dynamics, from, (const double(*)[3])change, force);
     turn(self, (const double(*)[3])work->direction, (const double(*)[3])force, torque);
     project(self, n, work, (const double(*)[3])torque, beyond, column);
     for (uint32_t k = moved; k < n; k++) {
-        column[w + n + k] += dynamics->rotor[k] * config->joint[k].gear_ratio * dot(work->axis[k], later[k]);
+        column[w + n + k] += dynamics->rotor[k] * config->joint[k].gear_ratio * zygos_dot3(work->axis[k], later[k]);
     }
     if (!of_base) {
         by_spring(self, n, joint, dynamics->damping[joint], column);
@@ -656,14 +648,14 @@ static void by_motor(const zygos_propagation_t *self, const zygos_config_t *conf
 }
 
 /* Adds the component of a torque on a body that base and joints take. */
-static void take(const zygos_propagation_t *self, const zygos_propagation_work_t *work, uint32_t body,
-                 const double *torque, double *column)
+static void add_component(const zygos_propagation_t *self, const zygos_propagation_work_t *work, uint32_t body,
+                          const double *torque, double *column)
 {
     for (uint32_t k = 0; k < self->base_rates; k++) {
-        column[k] += dot(work->base_axis[k], torque);
+        column[k] += zygos_dot3(work->base_axis[k], torque);
     }
     for (uint32_t k = 0; k < body; k++) {
-        column[self->base_rates + k] += dot(work->axis[k], torque);
+        column[self->base_rates + k] += zygos_dot3(work->axis[k], torque);
     }
 }
 
@@ -703,11 +695,11 @@ static void by_parameters(const zygos_propagation_t *self, const zygos_config_t 
         const uint32_t b = self->second[c];
         double column[ZYGOS_MAX_ACCELERATIONS] = { 0.0 };
         double torque[3];
-        cross(work->direction[a], work->acceleration[b], torque);
-        take(self, work, self->body[a], torque, column);
+        zygos_cross3(work->direction[a], work->acceleration[b], torque);
+        add_component(self, work, self->body[a], torque, column);
         if (a != b) {
-            cross(work->direction[b], work->acceleration[a], torque);
-            take(self, work, self->body[b], torque, column);
+            zygos_cross3(work->direction[b], work->acceleration[a], torque);
+            add_component(self, work, self->body[b], torque, column);
         }
         for (uint32_t k = 0; k < w + n; k++) {
             column[k] *= self->sign[c];
@@ -718,8 +710,8 @@ static void by_parameters(const zygos_propagation_t *self, const zygos_config_t 
         const uint32_t a = self->moment[c];
         double column[ZYGOS_MAX_ACCELERATIONS] = { 0.0 };
         double torque[3];
-        cross(config->gravity, work->direction[a], torque);
-        take(self, work, self->body[a], torque, column);
+        zygos_cross3(config->gravity, work->direction[a], torque);
+        add_component(self, work, self->body[a], torque, column);
         put_constant(self, config, dynamics, self->pairs + c, column, &next, work);
     }
     for (uint32_t i = 0; i < n; i++) {
@@ -730,8 +722,8 @@ static void by_parameters(const zygos_propagation_t *self, const zygos_config_t 
         double torque[3] = { 0.0, 0.0, 0.0 };
         add(torque, ratio * work->y[w + n + i], work->axis[i]);
         add(torque, ratio * rate[n + i], work->lean[i]);
-        take(self, work, i, torque, column);
-        column[w + n + i] = ratio * (ratio * work->y[w + n + i] + dot(work->axis[i], work->spin[i]));
+        add_component(self, work, i, torque, column);
+        column[w + n + i] = ratio * (ratio * work->y[w + n + i] + zygos_dot3(work->axis[i], work->spin[i]));
         put_constant(self, config, dynamics, self->column_map.joint[i], column, &next, work);
         for (uint32_t k = 0; k < 2u; k++) {
             memset(column, 0, sizeof column);

@@ -2,6 +2,7 @@
 
 #include "zygos/priv/arm.h"
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -41,24 +42,9 @@ enum phase {
     CLOSE = 8   /* the end of these */
 };
 
-static bool within(double x, double low, double high)
-{
-    return (x >= low) && (x <= high);
-}
-
-static double magnitude(double x)
-{
-    return (x < 0.0) ? -x : x;
-}
-
-static double larger(double a, double b)
-{
-    return (a > b) ? a : b;
-}
-
 static bool is_finite(double x)
 {
-    return within(x, -1e300, 1e300);
+    return zygos_within(x, -1e300, 1e300);
 }
 
 /* ---------------------------------------------------------------- seals
@@ -68,7 +54,7 @@ static bool is_finite(double x)
    What is computed for one use of readings is verified when it has been used. A seal that changes with a part of what
    it is of keeps what was wrong before. */
 
-static uint64_t places_of(const zygos_refine_t *self)
+static uint64_t counts_of(const zygos_refine_t *self)
 {
     const zygos_refiner_t *filter = &self->filter;
     const unsigned char *counts = (const unsigned char *)&filter->propagation;
@@ -196,7 +182,7 @@ static bool leads_on(const zygos_refine_t *self)
 }
 
 /* Behind a slice of a phase. */
-static void seal(zygos_refine_t *self, uint32_t phase)
+static void seal_slice(zygos_refine_t *self, uint32_t phase)
 {
     if ((phase == (uint32_t)TAKE) || (phase == (uint32_t)MOVE) || (phase == (uint32_t)READ)) {
         self->estimate_seal = estimate_seal_of(self);
@@ -207,13 +193,13 @@ static void seal(zygos_refine_t *self, uint32_t phase)
     if (rests(self)) {
         self->sums_seal = sums_seal_of(self);
     }
-    self->places_seal = places_of(self);
+    self->places_seal = counts_of(self);
 }
 
 static void seal_all(zygos_refine_t *self)
 {
     self->tables_seal = tables_seal_of(self);
-    seal(self, (uint32_t)READ);
+    seal_slice(self, (uint32_t)READ);
 }
 
 static void fail(zygos_refine_t *self)
@@ -242,7 +228,7 @@ int zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_
     if ((config->joints < 1u) || (config->joints > (uint32_t)ZYGOS_MAX_JOINTS)) {
         return ZYGOS_E_JOINTS;
     }
-    if (!within(config->period_s, 1e-5, 0.065)) {
+    if (!zygos_within(config->period_s, 1e-5, 0.065)) {
         return ZYGOS_E_PERIOD;
     }
     memset(settings, 0, sizeof *settings);
@@ -281,17 +267,17 @@ int zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_
 
 static bool are_settings_possible(const zygos_refine_settings_t *settings, const zygos_config_t *config)
 {
-    bool good = within(settings->every, 1.0, 1000.0) && within(settings->terms, 2.0, 20.0) &&
-                within(settings->window, 20.0, 1e5) && within(settings->apart, 1.0, 1000.0) &&
-                within(settings->bias_sigma, 0.0, 1e3) && !(config->imu_latch_s > 0.0);
+    bool good = zygos_within(settings->every, 1.0, 1000.0) && zygos_within(settings->terms, 2.0, 20.0) &&
+                zygos_within(settings->window, 20.0, 1e5) && zygos_within(settings->apart, 1.0, 1000.0) &&
+                zygos_within(settings->bias_sigma, 0.0, 1e3) && !(config->imu_latch_s > 0.0);
     for (uint32_t k = 0; k < 5u * config->joints; k++) {
-        good = good && within(settings->beside_sigma[k], 0.0, 1e6);
+        good = good && zygos_within(settings->beside_sigma[k], 0.0, 1e6);
     }
     return good;
 }
 
 /* What follows from configuration and settings. Returns whether these are possible. */
-static bool make_tables(zygos_refine_t *self, const zygos_config_t *config)
+static bool make_filter(zygos_refine_t *self, const zygos_config_t *config)
 {
     if (!are_settings_possible(&self->settings, config)) {
         return false;
@@ -318,7 +304,7 @@ int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const 
     for (uint32_t k = 0; k < (uint32_t)(sizeof filter->size / sizeof filter->size[0]); k++) {
         filter->size[k] = 1.0;
     }
-    if (!make_tables(self, config)) {
+    if (!make_filter(self, config)) {
         return ZYGOS_E_VALUE;
     }
     self->config_seal = config_seal_of(config);
@@ -346,7 +332,7 @@ static bool repair_settings(zygos_refine_t *self)
 static bool rebuild(zygos_refine_t *self, const zygos_config_t *config)
 {
     const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
-    if (!make_tables(self, config)) {
+    if (!make_filter(self, config)) {
         return false;
     }
     self->started = (self->started != 0u) ? 1u : 0u;
@@ -406,7 +392,7 @@ int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
     }
     uint32_t found = (uint32_t)head;
     const bool tables = (self->tables_seal != tables_seal_of(self));
-    const bool places = (self->places_seal != places_of(self));
+    const bool places = (self->places_seal != counts_of(self));
     found |= tables ? (uint32_t)ZYGOS_SCRUBBED_TABLES : 0u;
     found |= places ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
     if (tables || places) {
@@ -427,7 +413,7 @@ int zygos_refine_scrub(zygos_refine_t *self, const zygos_config_t *config)
 
 /* What errors of p values are compared with: the value; of one of the inertia matrix at least the geometric mean of the
  * two moments of inertia that it couples, and of a first moment the largest one. */
-static void measure(zygos_refine_t *self, const zygos_config_t *config, const double *value)
+static void measure_values(zygos_refine_t *self, const zygos_config_t *config, const double *value)
 {
     const zygos_propagation_t *propagation = &self->filter.propagation;
     const uint32_t p = propagation->parameters;
@@ -438,26 +424,26 @@ static void measure(zygos_refine_t *self, const zygos_config_t *config, const do
     memcpy(self->work.constant, value, p * sizeof value[0]);
     zygos_dynamics_set(&self->work.dynamics, propagation, config, self->work.constant);
     for (uint32_t a = 0; a < propagation->directions; a++) {
-        moment = larger(moment, magnitude(dynamics->moment[a]));
+        moment = zygos_larger(moment, zygos_magnitude(dynamics->moment[a]));
     }
     for (uint32_t k = 0; k < p; k++) {
-        size[k] = magnitude(value[k]);
+        size[k] = zygos_magnitude(value[k]);
     }
     const uint32_t entries = (config->reduced == 0u) ? p : config->reductions;
     for (uint32_t e = 0; e < entries; e++) {
         const bool same = (config->reduced == 0u);
         const uint32_t c = same ? e : config->reduction[e].column;
         const uint32_t k = same ? e : config->reduction[e].parameter;
-        const double factor = same ? 1.0 : magnitude(config->reduction[e].factor);
+        const double factor = same ? 1.0 : zygos_magnitude(config->reduction[e].factor);
         double least = 0.0;
         if (c < propagation->pairs) {
             const uint32_t a = propagation->first[c];
             const uint32_t b = propagation->second[c];
-            least = __builtin_sqrt(magnitude(dynamics->matrix[a][a] * dynamics->matrix[b][b]));
+            least = __builtin_sqrt(zygos_magnitude(dynamics->matrix[a][a] * dynamics->matrix[b][b]));
         } else if (c < propagation->pairs + propagation->moments) {
             least = moment;
         }
-        size[k] = larger(size[k], least / factor);
+        size[k] = zygos_larger(size[k], least / factor);
     }
     for (uint32_t k = 0; k < p; k++) {
         size[k] = (size[k] > 0.0) ? size[k] : 1.0;
@@ -527,7 +513,7 @@ static int start(zygos_refine_t *self, const zygos_config_t *config, const zygos
     if (!good) {
         return ZYGOS_E_VALUE;
     }
-    measure(self, config, value);
+    measure_values(self, config, value);
     const double *size = filter->settings.size;
     for (uint32_t j = 0; j < p; j++) {
         const uint32_t at = fast + j;
@@ -580,7 +566,7 @@ int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const
 
 /* ---------------------------------------------------------------- cycles */
 
-static uint32_t behind(uint32_t place)
+static uint32_t behind_reading(uint32_t place)
 {
     return (place >= (uint32_t)ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
 }
@@ -600,7 +586,7 @@ int zygos_refine_cycle(zygos_refine_t *self, const zygos_cycle_t *cycle)
     if (head > (uint32_t)ZYGOS_CYCLE_QUEUE) {
         return ZYGOS_E_STATE;
     }
-    const uint32_t next = behind(head);
+    const uint32_t next = behind_reading(head);
     if (next == __atomic_load_n(&self->queue.tail, __ATOMIC_ACQUIRE)) {
         self->overrun++;
         return 0;
@@ -655,7 +641,7 @@ static double reading(const zygos_refine_t *self, const zygos_config_t *config, 
 
 /* State and bias at the newest of the readings with which the state begins: rates are those of a parabola through
  * three, and what a fourth one says otherwise widens their deviations. */
-static void begin(zygos_refine_t *self, const zygos_config_t *config)
+static void begin_state(zygos_refine_t *self, const zygos_config_t *config)
 {
     const zygos_refiner_settings_t *settings = &self->filter.settings;
     const uint32_t n = config->joints;
@@ -677,7 +663,7 @@ static void begin(zygos_refine_t *self, const zygos_config_t *config)
         x[w + k] = a[3];
         x[w + 2u * n + k] = rate;
         sigma[w + k] = FRESH * __builtin_sqrt(noise * noise + zero * zero);
-        sigma[w + 2u * n + k] = magnitude(other - rate) + __builtin_sqrt(530.0) / (6.0 * time) * noise;
+        sigma[w + 2u * n + k] = zygos_magnitude(other - rate) + __builtin_sqrt(530.0) / (6.0 * time) * noise;
     }
     for (uint32_t k = 0; k < w; k++) {
         x[k] = reading(self, config, 2u * n + k);
@@ -708,11 +694,11 @@ static void gather(zygos_refine_t *self, const zygos_config_t *config)
         self->since = 0u;
     }
     if (self->beginning == ZYGOS_REFINE_BEGINNING) {
-        begin(self, config);
+        begin_state(self, config);
     }
 }
 
-static void use(zygos_refine_t *self, const zygos_config_t *config, const zygos_cycle_t *cycle)
+static void use_cycle(zygos_refine_t *self, const zygos_config_t *config, const zygos_cycle_t *cycle)
 {
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
     const bool known = (self->moving != 0u) || (self->beginning > 0u);
@@ -737,7 +723,7 @@ static void use(zygos_refine_t *self, const zygos_config_t *config, const zygos_
         return;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
-        widest = larger(widest, magnitude(self->after[i] - self->before[i]));
+        widest = zygos_larger(widest, zygos_magnitude(self->after[i] - self->before[i]));
     }
     self->walk += (step == 1u) ? (widest * widest - self->walk) / 16.0 : 0.0;
     self->lost += step - 1u;
@@ -767,10 +753,10 @@ static void take(zygos_refine_t *self, const zygos_config_t *config)
         self->filter.failed = 1u; /* what it has used cannot be taken back */
     } else if (whole && runs(self) && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_INVALID) == 0u) &&
                !is_apart(self, config, cycle)) {
-        use(self, config, cycle);
+        use_cycle(self, config, cycle);
     }
     self->queue.fold[tail] = 0u; /* an index that changes must not bring it back */
-    __atomic_store_n(&self->queue.tail, behind(tail), __ATOMIC_RELEASE);
+    __atomic_store_n(&self->queue.tail, behind_reading(tail), __ATOMIC_RELEASE);
 }
 
 static void add_middle(zygos_refine_t *self)
@@ -822,7 +808,7 @@ static void move(zygos_refine_t *self, const zygos_config_t *config)
         add_middle(self);
     }
     for (uint32_t k = 0; k < self->filter.propagation.moving; k++) {
-        good = good && within(self->filter.x[k], -LARGEST_STATE, LARGEST_STATE);
+        good = good && zygos_within(self->filter.x[k], -LARGEST_STATE, LARGEST_STATE);
     }
     if (!good) {
         fail(self);
@@ -873,15 +859,15 @@ static void linearise(zygos_refine_t *self, const zygos_config_t *config)
 
 /* Noise of a torque that is another one in each cycle has in the mean over all cycles so much, and as much, of other
  * sizes, in each other shape over them. */
-static double noise_of(const zygos_refine_t *self, uint32_t i, double missing)
+static double torque_noise_of(const zygos_refine_t *self, uint32_t i, double missing)
 {
     const double variance = self->level * self->level * self->variance[i] + missing;
     return __builtin_sqrt(variance) / (double)self->settings.every;
 }
 
 /* Writes a column of state and means, whose rows are so many entries apart. */
-static void put(const zygos_refine_t *self, const zygos_config_t *config, double factor,
-                const zygos_propagation_change_t *by, double *column, uint32_t stride)
+static void put_column(const zygos_refine_t *self, const zygos_config_t *config, double factor,
+                       const zygos_propagation_change_t *by, double *column, uint32_t stride)
 {
     const uint32_t moving = self->filter.propagation.moving;
     for (uint32_t i = 0; i < moving; i++) {
@@ -922,7 +908,7 @@ static void shape(zygos_refine_t *self, const zygos_config_t *config, double tim
         const double degree = (double)k;
         square *= 1.0 - degree * degree / (cycles * cycles);
         const double factor = __builtin_sqrt((2.0 * degree + 1.0) * square);
-        put(self, config, factor, &out[k], &self->work.push[0][k * config->joints + torque], ZYGOS_MAX_PUSHES);
+        put_column(self, config, factor, &out[k], &self->work.push[0][k * config->joints + torque], ZYGOS_MAX_PUSHES);
     }
 }
 
@@ -945,18 +931,18 @@ static void series(zygos_refine_t *self, const zygos_config_t *config)
             const uint32_t c = (turn < w) ? turn : turn + 2u * n;
             zygos_propagation_series(propagation, config, time, self->settings.terms, &self->means, c,
                                      &work->propagation, &by, &pushed);
-            put(self, config, 1.0, &by, &work->across[0][c], ZYGOS_MAX_MOVING);
-            put(self, config, 1.0, &pushed, &work->pushed[0][turn], ZYGOS_MAX_ACCELERATIONS);
+            put_column(self, config, 1.0, &by, &work->across[0][c], ZYGOS_MAX_MOVING);
+            put_column(self, config, 1.0, &pushed, &work->pushed[0][turn], ZYGOS_MAX_ACCELERATIONS);
         } else if (turn < moving) {
             const uint32_t c = turn - rates + w;
             by.end[c] = 1.0;
             by.mean[c] = 1.0;
-            put(self, config, 1.0, &by, &work->across[0][c], ZYGOS_MAX_MOVING);
+            put_column(self, config, 1.0, &by, &work->across[0][c], ZYGOS_MAX_MOVING);
             add_pushed(self, rates, &work->propagation.by_state[0][c], ZYGOS_MAX_MOVING, &work->across[0][c],
                        ZYGOS_MAX_MOVING);
         } else {
             const uint32_t torque = turn - moving;
-            put(self, config, 0.0, &by, &work->push[0][torque], ZYGOS_MAX_PUSHES);
+            put_column(self, config, 0.0, &by, &work->push[0][torque], ZYGOS_MAX_PUSHES);
             add_pushed(self, rates, &work->propagation.by_torque[0][torque], ZYGOS_MAX_JOINTS, &work->push[0][torque],
                        ZYGOS_MAX_PUSHES);
             shape(self, config, time, torque);
@@ -986,7 +972,7 @@ static void tabulate(zygos_refine_t *self, const zygos_config_t *config)
 {
     double noise[ZYGOS_MAX_JOINTS];
     for (uint32_t i = 0; i < config->joints; i++) {
-        noise[i] = noise_of(self, i, self->missing);
+        noise[i] = torque_noise_of(self, i, self->missing);
     }
     const double walk = self->filter.settings.bias_walk * __builtin_sqrt((double)self->settings.every);
     zygos_refiner_table(&self->filter, noise, walk, &self->work);
@@ -1028,11 +1014,11 @@ static void read_one(zygos_refine_t *self, const zygos_config_t *config)
     self->rejected += one.rejected;
     self->count[one.channel] += 1.0;
     self->square[one.channel] += one.square;
-    self->largest[one.channel] = larger(self->largest[one.channel], one.square);
+    self->largest[one.channel] = zygos_larger(self->largest[one.channel], one.square);
     if (self->lost_lately == 0u) {
         double share = 0.0;
         for (uint32_t k = 0; k < self->work.shapes * n; k++) {
-            const double noise = noise_of(self, k % n, 0.0);
+            const double noise = torque_noise_of(self, k % n, 0.0);
             double moved = mean ? self->work.push[filter->propagation.moving + self->cursor][k] * noise : 0.0;
             for (uint32_t t = 0; (t < one.terms) && (one.entry[t] < filter->propagation.moving); t++) {
                 moved += one.weight[t] * self->work.push[one.entry[t]][k] * noise;
@@ -1145,7 +1131,7 @@ int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    if ((self->places_seal != places_of(self)) || (self->phase > (uint32_t)CLOSE)) {
+    if ((self->places_seal != counts_of(self)) || (self->phase > (uint32_t)CLOSE)) {
         return ZYGOS_E_STATE;
     }
     const int work = has_work(self);
@@ -1166,7 +1152,7 @@ int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
     } else {
         abandon(self);
     }
-    seal(self, phase);
+    seal_slice(self, phase);
     return 1;
 }
 
@@ -1237,7 +1223,7 @@ static void compare(const zygos_refine_t *self, const zygos_config_t *config, co
         const double allowed =
             ZYGOS_REFINE_APART_SIGMAS * __builtin_sqrt(other * other + out->sigma[k] * out->sigma[k]) +
             ZYGOS_REFINE_BIAS * size;
-        const double distance = magnitude(out->value[k] - energy->value[k]) / allowed;
+        const double distance = zygos_magnitude(out->value[k] - energy->value[k]) / allowed;
         if (distance > out->distance) {
             out->distance = distance;
             out->farthest = k;
@@ -1259,7 +1245,7 @@ int zygos_refine_judge(const zygos_refine_t *self, const zygos_config_t *config,
         return ZYGOS_E_CONFIG;
     }
     const uint32_t p = self->filter.propagation.parameters;
-    const bool whole = (self->places_seal == places_of(self)) && are_tables_whole(self) && is_rest_whole(self) &&
+    const bool whole = (self->places_seal == counts_of(self)) && are_tables_whole(self) && is_rest_whole(self) &&
                        (!rests(self) || (self->root_seal == root_seal_of(self)));
     memset(out, 0, sizeof *out);
     out->cycle = self->sync;

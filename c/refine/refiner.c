@@ -1,5 +1,7 @@
 #include "zygos/priv/refiner.h"
 
+#include "zygos/priv/numbers.h"
+
 #include <string.h>
 
 /* No reading is rejected. */
@@ -20,11 +22,6 @@ static double inner(const double *a, const double *b, uint32_t count)
     return sum;
 }
 
-static bool within(double x, double low, double high)
-{
-    return (x >= low) && (x <= high);
-}
-
 int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, const zygos_refiner_settings_t *settings)
 {
     const uint32_t n = config->joints;
@@ -35,14 +32,17 @@ int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, cons
     if (zygos_propagation_init(&self->propagation, config, settings->steps, settings->friction) != 1) {
         return ZYGOS_E_VALUE;
     }
-    bool good = (flags <= 1u) && within(settings->bias_walk, 0.0, 1e3) && within(settings->second_order, 0.0, 1e3) &&
-                ((propagation->base_rates == 0u) || within(settings->gyro_sigma, 1e-12, 1e3));
+    bool good = (flags <= 1u) && zygos_within(settings->bias_walk, 0.0, 1e3) &&
+                zygos_within(settings->second_order, 0.0, 1e3) &&
+                ((propagation->base_rates == 0u) || zygos_within(settings->gyro_sigma, 1e-12, 1e3));
     for (uint32_t i = 0; i < n; i++) {
-        good = good && within(settings->link_sigma[i], 1e-12, 10.0) && within(settings->motor_sigma[i], 1e-12, 10.0) &&
-               within(settings->torque_sigma[i], 0.0, 1e6) && within(settings->torque_relative_sigma[i], 0.0, 1.0);
+        good = good && zygos_within(settings->link_sigma[i], 1e-12, 10.0) &&
+               zygos_within(settings->motor_sigma[i], 1e-12, 10.0) &&
+               zygos_within(settings->torque_sigma[i], 0.0, 1e6) &&
+               zygos_within(settings->torque_relative_sigma[i], 0.0, 1.0);
     }
     for (uint32_t k = 0; k < propagation->parameters; k++) {
-        good = good && within(settings->size[k], 1e-300, 1e300);
+        good = good && zygos_within(settings->size[k], 1e-300, 1e300);
     }
     if (!good) {
         return ZYGOS_E_VALUE;
@@ -58,7 +58,7 @@ int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, cons
 
 /* Replaces the covariance in the columns of the parameters by the upper triangular U with U U' = covariance. Returns
  * false where it is not positive definite. */
-static bool factorise(zygos_refiner_t *self)
+static bool factorise_covariance(zygos_refiner_t *self)
 {
     const uint32_t p = self->propagation.parameters;
     for (uint32_t j = p; j > 0u; j--) {
@@ -87,7 +87,7 @@ int zygos_refiner_begin(zygos_refiner_t *self, const double *x, const double *si
     const uint32_t p = self->propagation.parameters;
     for (uint32_t k = 0; k < self->entries; k++) {
         const bool parameter = (k >= self->fast) && (k < self->fast + p);
-        if (!parameter && !within(sigma[k], 0.0, 1e300)) {
+        if (!parameter && !zygos_within(sigma[k], 0.0, 1e300)) {
             return ZYGOS_E_VALUE;
         }
     }
@@ -101,7 +101,7 @@ int zygos_refiner_begin(zygos_refiner_t *self, const double *x, const double *si
             own[k] = sigma[k];
         }
     }
-    if (!factorise(self)) {
+    if (!factorise_covariance(self)) {
         return ZYGOS_E_VALUE;
     }
     memset(self->count, 0, sizeof self->count);
@@ -391,8 +391,8 @@ void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, doubl
 }
 
 /* out[rows] = matrix[rows][count] x, or is added to it. */
-static void multiply(const double *matrix, uint32_t stride, uint32_t rows, uint32_t count, const double *x, bool add,
-                     double *out)
+static void multiply_rows(const double *matrix, uint32_t stride, uint32_t rows, uint32_t count, const double *x,
+                          bool add, double *out)
 {
     for (uint32_t i = 0; i < rows; i++) {
         out[i] = (add ? out[i] : 0.0) + inner(&matrix[i * stride], x, count);
@@ -425,16 +425,16 @@ void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, const double (*slope
         const bool gain = (gains + i < depends) && (gains + i <= c);
         scaled[motion + i] = (gain ? work->torque[i] * below[gains + i] : 0.0) - (offset ? below[motion + i] : 0.0);
     }
-    multiply(work->across[0], ZYGOS_MAX_MOVING, rows, moving, own, false, moved);
+    multiply_rows(work->across[0], ZYGOS_MAX_MOVING, rows, moving, own, false, moved);
     if (slope != NULL) {
-        multiply(&slope[0][moving], ZYGOS_MAX_SLOPES, moving, by_motion + by_torque, scaled, true, moved);
+        multiply_rows(&slope[0][moving], ZYGOS_MAX_SLOPES, moving, by_motion + by_torque, scaled, true, moved);
     } else {
         double added[ZYGOS_MAX_ACCELERATIONS];
-        multiply(work->propagation.by_constant[0], ZYGOS_MAX_MOTION_CONSTANTS, accelerations, by_motion, scaled, false,
-                 added);
-        multiply(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, by_torque, &scaled[by_motion], true,
-                 added);
-        multiply(work->pushed[0], ZYGOS_MAX_ACCELERATIONS, rows, accelerations, added, true, moved);
+        multiply_rows(work->propagation.by_constant[0], ZYGOS_MAX_MOTION_CONSTANTS, accelerations, by_motion, scaled,
+                      false, added);
+        multiply_rows(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, by_torque, &scaled[by_motion],
+                      true, added);
+        multiply_rows(work->pushed[0], ZYGOS_MAX_ACCELERATIONS, rows, accelerations, added, true, moved);
     }
     memcpy(own, moved, moving * sizeof own[0]);
     memcpy(work->lead[self->fast + c], &moved[moving], work->leads * sizeof moved[0]);
@@ -482,7 +482,7 @@ bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, 
     bool good = zygos_propagate(&self->propagation, config, &work->dynamics, self->x, drive, stages->slope, stages,
                                 &work->propagation);
     for (uint32_t k = 0; k < self->propagation.moving; k++) {
-        good = good && within(self->x[k], -1e6, 1e6);
+        good = good && zygos_within(self->x[k], -1e6, 1e6);
     }
     if (!good) {
         self->failed = 1u;

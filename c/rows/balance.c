@@ -53,7 +53,7 @@ void zygos_balance_new_arc(zygos_balance_t *self)
 }
 
 /* A product instead of a branch: the work of a cycle does not depend on the place in the ring. */
-static uint32_t behind(uint32_t place, const zygos_config_t *config)
+static uint32_t behind_instant(uint32_t place, const zygos_config_t *config)
 {
     return (place + 1u) * (uint32_t)(place != config->smoother_half_width);
 }
@@ -65,7 +65,7 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
         self->torque[1][self->torque_at][i] = tau[i];
     }
     /* The ring holds M + 1 torques, so the place of the next one holds that of M cycles ago. */
-    self->torque_at = behind(self->torque_at, config);
+    self->torque_at = behind_instant(self->torque_at, config);
 }
 
 bool zygos_balance_torque_is_whole(const zygos_balance_t *self, const zygos_config_t *config)
@@ -86,13 +86,13 @@ const double *zygos_balance_torque_before(const zygos_balance_t *self)
 
 const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygos_config_t *config)
 {
-    return self->torque[0][behind(self->torque_at, config)];
+    return self->torque[0][behind_instant(self->torque_at, config)];
 }
 
 /* Advances W, D and the effects to this instant. Returns the term of torque steps in the work of the row. variance: see
    zygos_row_t. */
-static double advance(zygos_balance_t *self, const zygos_config_t *config, const zygos_integral_bias_t *bias,
-                      const zygos_arm_state_t *state, double *variance)
+static double advance_integrals(zygos_balance_t *self, const zygos_config_t *config, const zygos_integral_bias_t *bias,
+                                const zygos_arm_state_t *state, double *variance)
 {
     const double *tau = zygos_balance_torque_before(self);
     const double *tau_next = zygos_balance_torque_after(self, config);
@@ -130,8 +130,9 @@ static double advance(zygos_balance_t *self, const zygos_config_t *config, const
     return zygos_effects_jump(config) * step_work;
 }
 
-static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                     const zygos_arm_state_t *state, const zygos_motion_t *motion, zygos_row_t *out)
+static void form_energy_row(const zygos_balance_t *self, const zygos_config_t *config,
+                            const zygos_column_map_t *column_map, const zygos_arm_state_t *state,
+                            const zygos_motion_t *motion, zygos_row_t *out)
 {
     memcpy(out->column, motion->column, column_map->body * sizeof out->column[0]);
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -158,7 +159,7 @@ int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const
                       zygos_row_t *out)
 {
     double variance = 0.0;
-    const double step_work = advance(self, config, bias, state, &variance);
+    const double step_work = advance_integrals(self, config, bias, state, &variance);
     self->instants += (self->instants < 4u) ? 1u : 0u;
     if (self->instants < 4u) {
         return 0;
@@ -172,7 +173,7 @@ int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const
     if (config->effects > 0) {
         zygos_effects_scale(&self->effects, config, factor);
     }
-    form_row(self, config, column_map, state, motion, out);
+    form_energy_row(self, config, column_map, state, motion, out);
     out->work += step_work;
     out->variance = factor * variance;
     return 1;

@@ -50,7 +50,7 @@ bool zygos_joint_intact(const zygos_joint_t *self, const zygos_config_t *config)
 
 /* What one cycle leaves to the next is stored twice. */
 
-static uint32_t columns_of(const zygos_config_t *config, const zygos_column_map_t *column_map)
+static uint32_t columns_of_row(const zygos_config_t *config, const zygos_column_map_t *column_map)
 {
     return column_map->body + config->joints;
 }
@@ -187,7 +187,7 @@ static void integrate(const zygos_config_t *config, const zygos_column_map_t *co
         const double deflection = state->theta[j] - state->q[j];
         for (uint32_t s = 0; s < sides; s++) {
             zygos_joint_integrals_t *to = side[s].of_joint[j];
-            add_scaled(to[0].force, to[1].force, force, &side[s], columns_of(config, column_map));
+            add_scaled(to[0].force, to[1].force, force, &side[s], columns_of_row(config, column_map));
             add_scaled(&to[0].deflection, &to[1].deflection, &deflection, &side[s], 1u);
         }
     }
@@ -201,13 +201,13 @@ static void integrate(const zygos_config_t *config, const zygos_column_map_t *co
 }
 
 /* p_j of the motion at the newest end. */
-static void momentum_of(const zygos_joint_newest_t *newest, const zygos_config_t *config,
-                        const zygos_column_map_t *column_map, uint32_t j, double *out)
+static void joint_momentum(const zygos_joint_newest_t *newest, const zygos_config_t *config,
+                           const zygos_column_map_t *column_map, uint32_t j, double *out)
 {
     const zygos_motion_t *motion = &newest->motion;
     double moved[ZYGOS_MAX_DIRECTIONS][3];
     zygos_kinematics_swing(config, motion, motion->axis[j], j + 1u, moved);
-    memset(out, 0, columns_of(config, column_map) * sizeof out[0]);
+    memset(out, 0, columns_of_row(config, column_map) * sizeof out[0]);
     (void)zygos_kinetic_products(config, motion->rate, (const double(*)[3])moved, out);
     (void)zygos_kinetic_products(config, (const double(*)[3])moved, motion->rate, out);
     for (uint32_t i = j; i < config->joints; i++) {
@@ -223,7 +223,7 @@ static void end_of(const zygos_joint_newest_t *newest, const zygos_config_t *con
                    const zygos_column_map_t *column_map, uint32_t j, zygos_joint_end_t *out)
 {
     const bool rigid = (config->joint[j].rigid != 0);
-    momentum_of(newest, config, column_map, j, out->momentum);
+    joint_momentum(newest, config, column_map, j, out->momentum);
     out->deflection = newest->state.theta[j] - newest->state.q[j];
     out->impulse = rigid ? config->joint[j].gear_ratio * zygos_effects_jump(config) * newest->jump[j] : 0.0;
     for (uint32_t e = 0; e < (uint32_t)ZYGOS_EFFECT_PLACES; e++) { /* unused ones are no remains of the stack */
@@ -234,15 +234,15 @@ static void end_of(const zygos_joint_newest_t *newest, const zygos_config_t *con
 
 /* Forms the row of a joint; its end and its integrals make room for the next. Returns whether memory was as it had been
    left. */
-static bool form_row(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                     uint32_t j, zygos_joint_row_t *out)
+static bool form_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                           uint32_t j, zygos_joint_row_t *out)
 {
     const double h = config->period_s / INNER;
     const uint32_t body = column_map->body;
     const zygos_joint_integrals_t *older = self->half[self->oldest][j];
     const zygos_joint_integrals_t *newer = self->half[after(self->oldest)][j];
     zygos_joint_end_t *begin = self->ends[self->begin][j];
-    const uint32_t columns = columns_of(config, column_map);
+    const uint32_t columns = columns_of_row(config, column_map);
     const uint32_t bytes = bytes_of_integrals(columns);
     const bool whole = zygos_is_same(&older[0], &older[1], bytes) && zygos_is_same(&newer[0], &newer[1], bytes) &&
                        zygos_is_same(&begin[0], &begin[1], bytes_of_end(columns)) && is_newest_whole(self->newest);
@@ -283,7 +283,7 @@ static bool form_row(zygos_joint_t *self, const zygos_config_t *config, const zy
 }
 
 /* Adds the torque before a SYNC and what is refused to the sides of all joints. */
-static inline void add_impulses(const side_t *side, uint32_t n, const double *tau_before, double refused, bool ends)
+static inline void add_torques(const side_t *side, uint32_t n, const double *tau_before, double refused, bool ends)
 {
     for (uint32_t j = 0; j < n; j++) {
         for (uint32_t twin = 0; twin < 2u; twin++) {
@@ -319,7 +319,7 @@ int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zyg
     bool whole = true;
     /* The row first: its older half becomes the one after that which is being filled. */
     if (self->turn < n) {
-        whole = form_row(self, config, column_map, self->turn, out);
+        whole = form_joint_row(self, config, column_map, self->turn, out);
         self->turn++;
         formed = (self->halves == 3u);
         self->begin ^= (self->turn == n) ? 1u : 0u;
@@ -335,7 +335,7 @@ int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zyg
         { self->half[self->oldest], (left < 3u) ? beginning[2u - left] : 0.0, left == 2u },
     };
     integrate(config, column_map, geometry, state, motion, side, (left < 3u) ? 2u : 1u);
-    add_impulses(side, n, tau_before, 1.0 - state->accepted, left == 0);
+    add_torques(side, n, tau_before, 1.0 - state->accepted, left == 0);
     if (left > 0) {
         return formed ? 1 : 0;
     }

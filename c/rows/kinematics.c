@@ -1,6 +1,7 @@
 #include "zygos/priv/kinematics.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <string.h>
 
@@ -56,31 +57,14 @@ void zygos_sincos(double angle, double *sine, double *cosine)
     *cosine = cosine_sign * (even * c + odd * s);
 }
 
-static double dot3(const double *a, const double *b)
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static void cross3(const double *a, const double *b, double *out)
-{
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-static double magnitude(double x)
-{
-    return (x < 0.0) ? -x : x;
-}
-
 void zygos_perpendicular(const double *axis, double *u, double *v)
 {
     uint32_t largest = 0;
     for (uint32_t k = 1; k < 3; k++) {
-        largest = (magnitude(axis[k]) > magnitude(axis[largest])) ? k : largest;
+        largest = (zygos_magnitude(axis[k]) > zygos_magnitude(axis[largest])) ? k : largest;
     }
     const double sign = (axis[largest] < 0.0) ? -1.0 : 1.0;
-    const double scale = 1.0 / (1.0 + magnitude(axis[largest]));
+    const double scale = 1.0 / (1.0 + zygos_magnitude(axis[largest]));
     double *out[2] = { u, v };
     for (uint32_t i = 0; i < 2; i++) {
         const uint32_t next = (largest + 1u + i) % 3u;
@@ -116,8 +100,8 @@ void zygos_geometry_init(zygos_geometry_t *self, const zygos_config_t *config)
         double normal[3];
         zygos_perpendicular(axis, frame[0], frame[1]);
         memcpy(frame[2], axis, sizeof frame[2]);
-        cross3(frame[0], frame[1], normal);
-        self->handedness[i] = (dot3(normal, axis) < 0.0) ? -1.0 : 1.0;
+        zygos_cross3(frame[0], frame[1], normal);
+        self->handedness[i] = (zygos_dot3(normal, axis) < 0.0) ? -1.0 : 1.0;
         double columns[9];
         double mounted[9];
         for (uint32_t k = 0; k < 9; k++) {
@@ -131,16 +115,17 @@ void zygos_geometry_init(zygos_geometry_t *self, const zygos_config_t *config)
         double moment[3];
         product33(attitude, mount, turned);
         memcpy(attitude, turned, sizeof attitude);
-        const double z[3] = { dot3(&turned[0], axis), dot3(&turned[3], axis), dot3(&turned[6], axis) };
-        cross3(z, g, moment);
-        has_gravity |= (dot3(moment, moment) > 1e-18 * dot3(g, g)) ? 1u : 0u;
+        const double z[3] = { zygos_dot3(&turned[0], axis), zygos_dot3(&turned[3], axis),
+                              zygos_dot3(&turned[6], axis) };
+        zygos_cross3(z, g, moment);
+        has_gravity |= (zygos_dot3(moment, moment) > 1e-18 * zygos_dot3(g, g)) ? 1u : 0u;
         self->has_gravity[i] = has_gravity;
     }
     double u[3];
     double v[3];
     zygos_perpendicular(config->joint[0].axis, u, v);
-    self->plane_gravity[0] = -dot3(g, u);
-    self->plane_gravity[1] = -self->handedness[0] * dot3(g, v);
+    self->plane_gravity[0] = -zygos_dot3(g, u);
+    self->plane_gravity[1] = -self->handedness[0] * zygos_dot3(g, v);
 }
 
 uint32_t zygos_kinetic_parameters(const zygos_config_t *config)
@@ -169,10 +154,10 @@ uint32_t zygos_gravity_parameters(const zygos_config_t *config)
 static double *gram(const double (*x)[3], const double (*y)[3], uint32_t first, uint32_t count, double *out)
 {
     for (uint32_t a = first; a < count; a++) {
-        *out += 0.5 * dot3(x[a], y[a]);
+        *out += 0.5 * zygos_dot3(x[a], y[a]);
         out++;
         for (uint32_t b = a + 1u; b < count; b++) {
-            *out += dot3(x[a], y[b]);
+            *out += zygos_dot3(x[a], y[b]);
             out++;
         }
     }
@@ -186,11 +171,11 @@ static double *spatial_products(const zygos_config_t *config, const double (*x)[
         return gram(x, y, 0, 2u * n + 3u, out);
     }
     /* Body 1 turns about its axis only: N[1u,1u] and N[1v,1v] share a column, and N[1u,1v] has none. */
-    *out += 0.5 * dot3(x[0], y[0]);
+    *out += 0.5 * zygos_dot3(x[0], y[0]);
     out++;
     for (uint32_t a = 0; a < 2; a++) {
         for (uint32_t b = 2; b < 2u * n; b++) {
-            *out += dot3(x[a], y[b]);
+            *out += zygos_dot3(x[a], y[b]);
             out++;
         }
     }
@@ -243,7 +228,7 @@ static void planar(const zygos_geometry_t *self, const zygos_config_t *config, c
 {
     const uint32_t n = config->joints;
     double gravity[2 * ZYGOS_MAX_JOINTS];
-    double rate = (config->base == ZYGOS_BASE_FREE) ? dot3(config->joint[0].axis, state->omega) : 0.0;
+    double rate = (config->base == ZYGOS_BASE_FREE) ? zygos_dot3(config->joint[0].axis, state->omega) : 0.0;
     double angle = 0.0;
     out->direction[0][0] = 1.0;
     out->direction[0][1] = 0.0;
@@ -304,15 +289,15 @@ static void spatial(const zygos_geometry_t *self, const zygos_config_t *config, 
             frame[3u * k + 1u] = v[k];
             frame[3u * k + 2u] = axis[k];
         }
-        out->carrier_rate[i] = dot3(axis, omega);
+        out->carrier_rate[i] = zygos_dot3(axis, omega);
         for (uint32_t k = 0; k < 3; k++) {
             omega[k] += axis[k] * state->q_rate[i];
         }
-        cross3(omega, u, out->rate[count]);
-        cross3(omega, v, out->rate[count + 1u]);
+        zygos_cross3(omega, u, out->rate[count]);
+        zygos_cross3(omega, v, out->rate[count + 1u]);
         count += 2u;
-        gravity[2u * i] = -dot3(config->gravity, u);
-        gravity[2u * i + 1u] = -dot3(config->gravity, v);
+        gravity[2u * i] = -zygos_dot3(config->gravity, u);
+        gravity[2u * i + 1u] = -zygos_dot3(config->gravity, v);
     }
     memset(out->column, 0, zygos_kinetic_parameters(config) * sizeof out->column[0]);
     double *column =
@@ -377,8 +362,8 @@ static double *carried_products(const double (*v)[3], const double (*t)[3], uint
         out++;
     }
     for (; b < count; b++) {
-        const double later = dot3(v[a], t[b]);
-        *out = (a == b) ? later : later + ((a >= begin) ? dot3(t[a], v[b]) : 0.0);
+        const double later = zygos_dot3(v[a], t[b]);
+        *out = (a == b) ? later : later + ((a >= begin) ? zygos_dot3(t[a], v[b]) : 0.0);
         out++;
     }
     return out;
@@ -391,7 +376,7 @@ static void turned_products(const zygos_config_t *config, const double (*v)[3], 
     const bool free = (config->base == ZYGOS_BASE_FREE);
     const uint32_t count = 2u * config->joints + (free ? 3u : 0u);
     if (!free) {
-        *out = (begin == 0) ? dot3(v[0], t[0]) : 0.0;
+        *out = (begin == 0) ? zygos_dot3(v[0], t[0]) : 0.0;
         out++;
     }
     for (uint32_t a = 0; a < count; a++) {
@@ -412,15 +397,15 @@ static double *spatial_slopes(const zygos_config_t *config, const zygos_motion_t
     const uint32_t begin = base + 2u * i; /* those before it do not turn, and are not read of turned */
     double turned[ZYGOS_MAX_DIRECTIONS][3];
     double lag[3];
-    cross3(axis, motion->spin[i], lag);
+    zygos_cross3(axis, motion->spin[i], lag);
     for (uint32_t b = begin; b < base + 2u * n; b++) {
         double behind[3];
-        cross3(axis, v[b], turned[b]);
-        cross3(lag, motion->direction[b], behind);
+        zygos_cross3(axis, v[b], turned[b]);
+        zygos_cross3(lag, motion->direction[b], behind);
         for (uint32_t k = 0; k < 3; k++) {
             turned[b][k] -= behind[k];
         }
-        cross3(axis, motion->direction[b], moved[b]);
+        zygos_cross3(axis, motion->direction[b], moved[b]);
     }
     turned_products(config, v, (const double(*)[3])turned, begin, by_angle);
     if (by_rate == NULL) {
@@ -442,7 +427,7 @@ void zygos_kinematics_swing(const zygos_config_t *config, const zygos_motion_t *
     for (uint32_t a = 0; a < (space ? base + 2u * config->joints : config->joints + 1u); a++) {
         const double moves = (a < first) ? 0.0 : 1.0;
         if (space) {
-            cross3(axis, motion->direction[a], out[a]);
+            zygos_cross3(axis, motion->direction[a], out[a]);
         }
         for (uint32_t k = 0; k < 3; k++) {
             out[a][k] = moves * (space ? out[a][k] : ((k < 2u) ? motion->direction[a][k] : 0.0));
@@ -461,7 +446,7 @@ void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t 
         gravity_place = spatial_slopes(config, motion, i, by_angle, by_rate, moved);
         const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? 3u : 0u;
         for (uint32_t b = 2u * i; (b < 2u * n) && self->has_gravity[n - 1u]; b++) {
-            gravity[b] = -dot3(config->gravity, moved[base + b]);
+            gravity[b] = -zygos_dot3(config->gravity, moved[base + b]);
         }
     } else {
         gravity_place = planar_slopes(config, motion, i, by_angle, by_rate);

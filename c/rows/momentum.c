@@ -1,13 +1,8 @@
 #include "zygos/priv/momentum.h"
 
-#include <string.h>
+#include "zygos/priv/numbers.h"
 
-static void cross3(const double *a, const double *b, double *out)
-{
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
+#include <string.h>
 
 uint32_t zygos_momentum_count(const zygos_config_t *config)
 {
@@ -32,7 +27,7 @@ void zygos_momentum_new_arc(zygos_momentum_t *self)
 static void rotate_attitude(zygos_momentum_t *self, double h, const double *omega, double factor)
 {
     double angle[3];
-    cross3(self->past[0], omega, angle);
+    zygos_cross3(self->past[0], omega, angle);
     double half_square = 0.0;
     for (uint32_t k = 0; k < 3; k++) {
         const double mean = 9.0 * omega[k] + 19.0 * self->past[0][k] - 5.0 * self->past[1][k] + self->past[2][k];
@@ -49,7 +44,7 @@ static void rotate_attitude(zygos_momentum_t *self, double h, const double *omeg
     const double v[3] = { s * angle[0], s * angle[1], s * angle[2] };
     const double *p = self->attitude;
     double around[3];
-    cross3(p, v, around);
+    zygos_cross3(p, v, around);
     double turned[4] = { 0.0, 0.0, 0.0, p[3] * c - p[0] * v[0] - p[1] * v[1] - p[2] * v[2] };
     double square = turned[3] * turned[3];
     for (uint32_t k = 0; k < 3; k++) {
@@ -84,8 +79,8 @@ static void origin_axis(const zygos_momentum_t *self, uint32_t k, double *out)
     double twice[3];
     double axis[3] = { 0.0, 0.0, 0.0 };
     axis[k] = 1.0;
-    cross3(axis, self->attitude, once);
-    cross3(once, self->attitude, twice);
+    zygos_cross3(axis, self->attitude, once);
+    zygos_cross3(once, self->attitude, twice);
     for (uint32_t j = 0; j < 3; j++) {
         out[j] = axis[j] + 2.0 * (self->attitude[3] * once[j] + twice[j]);
     }

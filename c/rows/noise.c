@@ -1,6 +1,7 @@
 #include "zygos/priv/noise.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 #include "zygos/priv/reduction.h"
 
 #include <stddef.h>
@@ -8,13 +9,8 @@
 
 #define ROUNDED 1e-9 /* a correlation that is none */
 
-static double root(double x)
-{
-    return __builtin_sqrt(x);
-}
-
 /* Sums a[j] b[j]. */
-static double product(const double *a, const double *b, uint32_t n)
+static double sum_of_products(const double *a, const double *b, uint32_t n)
 {
     double sum = 0.0;
     for (uint32_t j = 0; j < n; j++) {
@@ -25,7 +21,7 @@ static double product(const double *a, const double *b, uint32_t n)
 
 _Static_assert(ZYGOS_MAX_COLUMNS + 1 < 256, "the index of a column is a byte");
 
-static void put(zygos_column_list_t *list, uint32_t place)
+static void put_place(zygos_column_list_t *list, uint32_t place)
 {
     list->place[list->count] = (uint8_t)place;
     list->count++;
@@ -44,7 +40,7 @@ static inline uint64_t word_of(const zygos_column_list_t *list, uint32_t w)
     return word;
 }
 
-static uint64_t seal_of(const zygos_column_list_t *list)
+static uint64_t list_seal_of(const zygos_column_list_t *list)
 {
     uint64_t seal = 0;
     for (uint32_t w = 0; w < (uint32_t)ZYGOS_LIST_WORDS; w++) {
@@ -60,7 +56,7 @@ static void put_products(zygos_column_list_t *list, const zygos_config_t *config
     (void)zygos_kinetic_products(config, x, y, column);
     for (uint32_t k = 0; k < column_map->kinetic; k++) {
         if (column[k] > 0.0 || column[k] < 0.0) {
-            put(list, k);
+            put_place(list, k);
         }
     }
 }
@@ -98,7 +94,7 @@ static void put_bodies(zygos_column_list_t *angle, zygos_column_list_t *rate, co
     memset(column, 0, sizeof column);
     put_products(angle, config, column_map, (const double(*)[3])others, (const double(*)[3])carried, column);
     for (uint32_t k = column_map->kinetic; (k < column_map->body) && (i < config->joints); k++) {
-        put(angle, k);
+        put_place(angle, k);
     }
 }
 
@@ -107,7 +103,7 @@ static void put_rotors(zygos_column_list_t *list, const zygos_column_map_t *colu
 {
     for (uint32_t i = from; (i < joints) && (i < (uint32_t)ZYGOS_MAX_JOINTS); i++) {
         if (column_map->rotor[i]) {
-            put(list, column_map->joint[i]);
+            put_place(list, column_map->joint[i]);
         }
     }
 }
@@ -117,12 +113,12 @@ static void put_spring(zygos_column_list_t *list, const zygos_config_t *config, 
                        uint32_t i)
 {
     if (config->joint[i].rigid == 0) {
-        put(list, column_map->joint[i] + column_map->rotor[i]);
-        put(list, column_map->joint[i] + column_map->rotor[i] + 1u);
+        put_place(list, column_map->joint[i] + column_map->rotor[i]);
+        put_place(list, column_map->joint[i] + column_map->rotor[i] + 1u);
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         if (config->effect[e].joint == i) {
-            put(list, column_map->effects + e);
+            put_place(list, column_map->effects + e);
         }
     }
 }
@@ -132,16 +128,16 @@ static void put_motor(zygos_column_list_t *list, const zygos_config_t *config, c
                       uint32_t i)
 {
     if (column_map->rotor[i]) {
-        put(list, column_map->joint[i]);
+        put_place(list, column_map->joint[i]);
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         const bool steps =
             (config->effect[e].kind == ZYGOS_TORQUE_LAG) || (config->effect[e].kind == ZYGOS_TORQUE_GAIN);
         if ((config->effect[e].joint == i) && steps) {
-            put(list, column_map->effects + e);
+            put_place(list, column_map->effects + e);
         }
     }
-    put(list, column_map->count);
+    put_place(list, column_map->count);
 }
 
 static void sort(zygos_column_list_t *list)
@@ -155,7 +151,7 @@ static void sort(zygos_column_list_t *list)
         }
         list->place[j] = place;
     }
-    list->seal = seal_of(list);
+    list->seal = list_seal_of(list);
 }
 
 /* Puts a place into a sorted list, which may have it. */
@@ -166,7 +162,7 @@ static void insert(zygos_column_list_t *list, uint32_t place)
         k++;
     }
     if (k == list->count) {
-        put(list, place);
+        put_place(list, place);
         sort(list);
     }
 }
@@ -180,8 +176,9 @@ static void join(zygos_column_list_t *list, const zygos_column_list_t *other)
     }
 }
 
-/* Makes pairs of neighbours, such as add() needs. A column that is put into the list for that contains no noise. */
-static void pair(zygos_column_list_t *list, const zygos_column_map_t *column_map)
+/* Makes pairs of neighbours, such as add_pairs() needs. A column that is put into the list for that contains no noise.
+ */
+static void make_pairs(zygos_column_list_t *list, const zygos_column_map_t *column_map)
 {
     for (uint32_t k = 0; k < list->count; k += 2u) {
         if (list->place[k] < column_map->count) {
@@ -206,18 +203,18 @@ static void find_places(zygos_noise_t *self, const zygos_config_t *config, const
         if (motor == 1u) {
             put_spring(angle[1], config, column_map, i);
         }
-        put(angle[motor], column_map->count);
+        put_place(angle[motor], column_map->count);
         put_motor(&rate[motor], config, column_map, i);
         for (uint32_t k = 0; k < 2; k++) {
             join(angle[k], &rate[k]);
-            pair(angle[k], column_map);
+            make_pairs(angle[k], column_map);
         }
     }
     zygos_column_list_t none = { 0 };
     put_bodies(&none, &self->gyro, config, column_map, n);
     put_rotors(&self->gyro, column_map, n, 0);
     sort(&self->gyro);
-    pair(&self->gyro, column_map);
+    make_pairs(&self->gyro, column_map);
 }
 
 void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
@@ -230,14 +227,14 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
         const double sigma = ((s < n) && (joint->rigid == 0)) ? joint->link_sigma_rad : joint->motor_sigma_rad;
         double variance[3];
         zygos_smoother_variance(smoother, s, variance);
-        const double value_norm = root(variance[0]);
+        const double value_norm = zygos_root(variance[0]);
         const double both = variance[1] / value_norm;
         /* Rounding leaves a little of it also where a signal latches at SYNC. */
         const double shared = (both * both > ROUNDED * ROUNDED * variance[2]) ? both : 0.0;
         const double rest = variance[2] - shared * shared;
         self->factor[s][0] = sigma * value_norm;
         self->factor[s][1] = sigma * shared;
-        self->factor[s][2] = sigma * root((rest > 0.0) ? rest : 0.0);
+        self->factor[s][2] = sigma * zygos_root((rest > 0.0) ? rest : 0.0);
         self->rate_variance[s] = sigma * sigma * variance[2];
     }
     double gyro[3];
@@ -305,7 +302,7 @@ static void blur(const zygos_noise_t *self, const zygos_config_t *config, const 
             }
         }
         for (uint32_t k = 0; k < 3; k++) {
-            out[a][k] = product(m[k], motion->direction[a], 3);
+            out[a][k] = sum_of_products(m[k], motion->direction[a], 3);
         }
     }
 }
@@ -347,8 +344,8 @@ static inline void add_one(double *restrict gram, double *restrict rows, double 
 
 /* target += x x^T + y y^T at those places, two rows and two columns at a time: places ascend in pairs of neighbours,
    and the last one may be alone. */
-static void add(const uint8_t *place, uint32_t count, const double *x, const double *y,
-                const zygos_noise_target_t *target)
+static void add_pairs(const uint8_t *place, uint32_t count, const double *x, const double *y,
+                      const zygos_noise_target_t *target)
 {
     double total_x = 0.0;
     double total_y = 0.0;
@@ -392,8 +389,8 @@ static void add(const uint8_t *place, uint32_t count, const double *x, const dou
 }
 
 /* Turns the columns of a list into parameters, with the work behind them. */
-static void reduce(const zygos_config_t *config, const zygos_column_map_t *column_map, const zygos_column_list_t *list,
-                   double *x)
+static void reduce_list(const zygos_config_t *config, const zygos_column_map_t *column_map,
+                        const zygos_column_list_t *list, double *x)
 {
     double columns[ZYGOS_MAX_COLUMNS + 1] = { 0.0 };
     for (uint32_t i = 0; i < list->count; i++) {
@@ -412,16 +409,16 @@ static void add_reduced(const zygos_config_t *config, const zygos_column_map_t *
     for (uint32_t i = 0; i < count; i++) {
         place[i] = (uint8_t)i;
     }
-    reduce(config, column_map, list, x);
-    reduce(config, column_map, list, y);
-    add(place, count, x, y, target);
+    reduce_list(config, column_map, list, x);
+    reduce_list(config, column_map, list, y);
+    add_pairs(place, count, x, y, target);
 }
 
 /* Clears the entries of x and y that a list names, for not all of them contain noise. Returns false where the list was
    changed. */
 static bool clear(const zygos_column_list_t *list, double *x, double *y)
 {
-    if (list->seal != seal_of(list)) {
+    if (list->seal != list_seal_of(list)) {
         return false;
     }
     for (uint32_t i = 0; i < list->count; i++) {
@@ -445,7 +442,7 @@ static void add_list(const zygos_config_t *config, const zygos_column_map_t *col
     if (config->reduced > 0) {
         add_reduced(config, column_map, list, x, y, target);
     } else {
-        add(list->place, list->count, x, y, target);
+        add_pairs(list->place, list->count, x, y, target);
     }
 }
 
@@ -467,7 +464,7 @@ static void link_slopes(const zygos_config_t *config, const zygos_column_map_t *
             const double *axis = motion->axis[i];
             turned = axis[0] * (z[1] * w[2] - z[2] * w[1]) + axis[1] * (z[2] * w[0] - z[0] * w[2]) +
                      axis[2] * (z[0] * w[1] - z[1] * w[0]);
-            along = product(axis, z, 3);
+            along = sum_of_products(axis, z, 3);
         }
         by_angle[column_map->joint[r]] = rotor * turned;
         by_rate[column_map->joint[r]] = rotor * along;
@@ -551,7 +548,7 @@ static bool add_gyro(const zygos_noise_t *self, const zygos_config_t *config, co
                      const zygos_arm_state_t *state, const zygos_motion_t *motion, uint32_t axis, double weight,
                      const zygos_noise_target_t *target)
 {
-    const double factor[3] = { weight * root(self->gyro_variance), 0.0, 0.0 };
+    const double factor[3] = { weight * zygos_root(self->gyro_variance), 0.0, 0.0 };
     double rate[ZYGOS_MAX_COLUMNS + 1];
     double none[ZYGOS_MAX_COLUMNS + 1];
     if (!clear(&self->gyro, rate, none)) {
@@ -607,7 +604,7 @@ bool zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, co
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     const uint32_t encoders = 2u * config->joints;
     const uint32_t sensors = encoders + (gyro ? (space ? 3u : 1u) : 0u);
-    const double share = weight * root((double)stride);
+    const double share = weight * zygos_root((double)stride);
     for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
         if (sensor >= encoders) {
             whole = add_gyro(self, config, column_map, state, motion, sensor - encoders, share, target) && whole;

@@ -1,5 +1,6 @@
 #include "zygos/priv/solver.h"
 
+#include "zygos/priv/numbers.h"
 #include "zygos/priv/reduction.h"
 
 #include <stddef.h>
@@ -29,7 +30,7 @@
 #define LEAST_PRIOR 1e-9
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
-static uint32_t at(uint32_t i, uint32_t j)
+static uint32_t entry_at(uint32_t i, uint32_t j)
 {
     return i * (i + 1u) / 2u + j;
 }
@@ -37,17 +38,7 @@ static uint32_t at(uint32_t i, uint32_t j)
 /* The same of any entry. */
 static uint32_t at_any(uint32_t i, uint32_t j)
 {
-    return (i >= j) ? at(i, j) : at(j, i);
-}
-
-static double magnitude(double x)
-{
-    return (x < 0.0) ? -x : x;
-}
-
-static double root(double x)
-{
-    return __builtin_sqrt(x);
+    return (i >= j) ? entry_at(i, j) : entry_at(j, i);
 }
 
 static double not_a_number(void)
@@ -77,10 +68,10 @@ static void increase(double *out, const double *in, double factor, uint32_t n)
 }
 
 /* y := A x of a symmetric matrix of order n. */
-static void multiply(const double *packed, const double *x, uint32_t n, double *y)
+static void multiply_symmetric(const double *packed, const double *x, uint32_t n, double *y)
 {
     for (uint32_t i = 0; i < n; i++) {
-        const double *row = &packed[at(i, 0)];
+        const double *row = &packed[entry_at(i, 0)];
         double sum = row[i] * x[i];
         for (uint32_t j = 0; j < i; j++) {
             sum += row[j] * x[j];
@@ -95,7 +86,7 @@ static double form(const double *packed, const double *x, uint32_t p)
 {
     double sum = 0.0;
     for (uint32_t i = 0; i <= p; i++) {
-        const double *row = &packed[at(i, 0)];
+        const double *row = &packed[entry_at(i, 0)];
         const double own = (i < p) ? x[i] : -1.0;
         double along = 0.0;
         for (uint32_t j = 0; j < i; j++) {
@@ -126,7 +117,7 @@ static inline void quotient(double *x, const double *sum, const double *divisor)
 static void substitute(const double *l, uint32_t first, uint32_t n, double (*x)[2])
 {
     for (uint32_t i = first; i < n; i++) {
-        const double *row = &l[at(i, 0)];
+        const double *row = &l[entry_at(i, 0)];
         const double diagonal[2] = { row[i], row[i] };
         double sum[2] = { 0.0 };
         for (uint32_t k = first; k < i; k++) {
@@ -136,7 +127,7 @@ static void substitute(const double *l, uint32_t first, uint32_t n, double (*x)[
         quotient(x[i], sum, diagonal);
     }
     for (uint32_t i = n; i-- > 0;) {
-        const double *row = &l[at(i, 0)];
+        const double *row = &l[entry_at(i, 0)];
         const double y[2] = { -x[i][0] / row[i], -x[i][1] / row[i] };
         for (uint32_t k = 0; k < i; k++) {
             const double both[2] = { row[k], row[k] };
@@ -161,7 +152,7 @@ static double invert(const zygos_solver_t *work, uint32_t p, double *diagonal)
         for (uint32_t side = 0; (side < 2u) && (i + side < p); side++) {
             double sum = 0.0;
             for (uint32_t j = 0; j < p; j++) {
-                sum += magnitude(x[j][side]);
+                sum += zygos_magnitude(x[j][side]);
             }
             norm = (sum > norm) ? sum : norm;
             diagonal[i + side] = x[i + side][side];
@@ -178,7 +169,7 @@ static uint32_t independent(zygos_solver_t *work, uint32_t p)
     double *left = work->column[0];
     for (uint32_t i = 0; i < p; i++) {
         work->pivot[i] = i;
-        left[i] = work->matrix[at(i, i)][0];
+        left[i] = work->matrix[entry_at(i, i)][0];
     }
     for (uint32_t k = 0; k < p; k++) {
         uint32_t best = k;
@@ -188,22 +179,22 @@ static uint32_t independent(zygos_solver_t *work, uint32_t p)
         if (!(left[best] > ZYGOS_PIVOT_LIMIT)) {
             return k;
         }
-        const double diagonal = root(left[best]);
+        const double diagonal = zygos_root(left[best]);
         const uint32_t swap = work->pivot[k];
         work->pivot[k] = work->pivot[best];
         work->pivot[best] = swap;
         left[best] = left[k];
         for (uint32_t j = 0; j < k; j++) {
-            const double t = l[at(k, j)];
-            l[at(k, j)] = l[at(best, j)];
-            l[at(best, j)] = t;
+            const double t = l[entry_at(k, j)];
+            l[entry_at(k, j)] = l[entry_at(best, j)];
+            l[entry_at(best, j)] = t;
         }
-        l[at(k, k)] = diagonal;
+        l[entry_at(k, k)] = diagonal;
         for (uint32_t i = k + 1u; i < p; i++) {
-            double *row = &l[at(i, 0)];
+            double *row = &l[entry_at(i, 0)];
             double sum = work->matrix[at_any(work->pivot[i], work->pivot[k])][0];
             for (uint32_t j = 0; j < k; j++) {
-                sum -= row[j] * l[at(k, 0) + j];
+                sum -= row[j] * l[entry_at(k, 0) + j];
             }
             row[k] = sum / diagonal;
             left[i] -= row[k] * row[k];
@@ -215,7 +206,7 @@ static uint32_t independent(zygos_solver_t *work, uint32_t p)
 /* x := L^-1 x of two factors side by side, the rows from first to before n. What is before first is 0. */
 static void forward(const double (*l)[2], uint32_t first, uint32_t n, double (*x)[2])
 {
-    const double(*a)[2] = &l[at(first, 0)];
+    const double(*a)[2] = &l[entry_at(first, 0)];
     uint32_t i = first;
     for (; i + 4u <= n; i += 4u) {
         const double(*b)[2] = &a[i + 1u];
@@ -254,12 +245,12 @@ static void forward(const double (*l)[2], uint32_t first, uint32_t n, double (*x
 /* Cholesky of two systems of scaled equations side by side, in place; their right sides become L^-1 of them. The
    diagonal is infinite of a column that depends on those before it, or is to be left out, which makes all else of it 0.
    rank: the numbers of columns that are independent. */
-static void factorise(double (*l)[2], uint32_t p, uint32_t *rank)
+static void factorise_both(double (*l)[2], uint32_t p, uint32_t *rank)
 {
     rank[0] = 0;
     rank[1] = 0;
     for (uint32_t i = 0; i <= p; i++) {
-        double(*row)[2] = &l[at(i, 0)];
+        double(*row)[2] = &l[entry_at(i, 0)];
         double square[2] = { 0.0 };
         forward((const double(*)[2])l, 0, i, row);
         for (uint32_t k = 0; k < i; k++) {
@@ -267,7 +258,7 @@ static void factorise(double (*l)[2], uint32_t p, uint32_t *rank)
         }
         for (uint32_t side = 0; (side < 2u) && (i < p); side++) {
             const double left = row[i][side] - square[side];
-            row[i][side] = (left > ZYGOS_PIVOT_LIMIT) ? root(left) : infinity();
+            row[i][side] = (left > ZYGOS_PIVOT_LIMIT) ? zygos_root(left) : infinity();
             rank[side] += (left > ZYGOS_PIVOT_LIMIT) ? 1u : 0u;
         }
     }
@@ -277,10 +268,10 @@ static void factorise(double (*l)[2], uint32_t p, uint32_t *rank)
 static void solve_both(const zygos_solver_t *work, uint32_t p, uint32_t *rank)
 {
     double(*x)[2] = work->change;
-    factorise(work->matrix, p, rank);
-    memcpy(x, work->matrix[at(p, 0)], p * sizeof x[0]);
+    factorise_both(work->matrix, p, rank);
+    memcpy(x, work->matrix[entry_at(p, 0)], p * sizeof x[0]);
     for (uint32_t i = p; i-- > 0;) {
-        double(*row)[2] = &work->matrix[at(i, 0)];
+        double(*row)[2] = &work->matrix[entry_at(i, 0)];
         const double y[2] = { -x[i][0] / row[i][0], -x[i][1] / row[i][1] };
         for (uint32_t k = 0; k < i; k++) {
             accumulate(x[k], row[k], y);
@@ -345,10 +336,10 @@ static void hold(const zygos_solver_t *work, uint32_t p, uint32_t i, double valu
     for (uint32_t side = 0; side < 2u; side++) {
         for (uint32_t j = 0; j < p; j++) {
             double *both = &work->matrix[at_any(i, j)][side];
-            work->matrix[at(p, j)][side] -= *both * value;
+            work->matrix[entry_at(p, j)][side] -= *both * value;
             *both = (i == j) ? 1.0 : 0.0;
         }
-        work->matrix[at(p, i)][side] = value;
+        work->matrix[entry_at(p, i)][side] = value;
     }
 }
 
@@ -359,8 +350,8 @@ static void restrict_gains(const zygos_solver_t *work, uint32_t p)
     for (uint32_t i = first; i < p; i++) {
         for (uint32_t j = first; (j <= i) && (work->gains_held == 0); j++) {
             const double more = prior(work, i - first, j - first) * (work->scale[i] * work->scale[j]);
-            work->matrix[at(i, j)][0] += more;
-            work->matrix[at(i, j)][1] += more;
+            work->matrix[entry_at(i, j)][0] += more;
+            work->matrix[entry_at(i, j)][1] += more;
         }
         if (work->gains_held != 0) {
             hold(work, p, i, (work->scale[i] > 0.0) ? work->gain_value[i - first] / work->scale[i] : 0.0);
@@ -376,9 +367,9 @@ static void equations(const zygos_solver_t *work, uint32_t p, uint32_t rank, con
     work->scale[p] = 1.0;
     for (uint32_t i = 0; i <= p; i++) {
         const double *scale = work->scale;
-        const double *total = &work->total[at(i, 0)];
-        const double *noise = &work->noise[at(i, 0)];
-        double(*out)[2] = &work->matrix[at(i, 0)];
+        const double *total = &work->total[entry_at(i, 0)];
+        const double *noise = &work->noise[entry_at(i, 0)];
+        double(*out)[2] = &work->matrix[entry_at(i, 0)];
         for (uint32_t j = 0; j <= i; j++) {
             const double factor = scale[i] * scale[j];
             const double sum[2] = { total[j] + back[0] * noise[j], total[j] + back[1] * noise[j] };
@@ -389,8 +380,8 @@ static void equations(const zygos_solver_t *work, uint32_t p, uint32_t rank, con
     }
     restrict_gains(work, p);
     for (uint32_t d = rank; d < p; d++) {
-        work->matrix[at(work->pivot[d], work->pivot[d])][0] = 0.0;
-        work->matrix[at(work->pivot[d], work->pivot[d])][1] = 0.0;
+        work->matrix[entry_at(work->pivot[d], work->pivot[d])][0] = 0.0;
+        work->matrix[entry_at(work->pivot[d], work->pivot[d])][1] = 0.0;
     }
 }
 
@@ -398,7 +389,7 @@ static void equations(const zygos_solver_t *work, uint32_t p, uint32_t rank, con
 static void equations_of_all(const zygos_solver_t *work, uint32_t p, uint32_t rank, double noise, double other)
 {
     const double back[2] = { 1.0 - noise, 1.0 - other };
-    memset(work->matrix, 0, at(p + 1u, 0) * sizeof work->matrix[0]);
+    memset(work->matrix, 0, entry_at(p + 1u, 0) * sizeof work->matrix[0]);
     equations(work, p, rank, back);
 }
 
@@ -431,7 +422,7 @@ static void embed(const zygos_solver_t *work, uint32_t i, const double *local, d
     for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
         const uint32_t place_a = place_of(work, i, a);
         for (uint32_t b = 0; b <= a; b++) {
-            out[stride * at_any(place_a, place_of(work, i, b))] += factor * local[at(a, b)];
+            out[stride * at_any(place_a, place_of(work, i, b))] += factor * local[entry_at(a, b)];
         }
     }
 }
@@ -451,7 +442,7 @@ static void embed_momentum(const zygos_solver_t *work, const double *local, doub
         for (uint32_t b = 0; (b <= a) && (place_a != ZYGOS_NO_PLACE); b++) {
             const uint32_t place_b = momentum_place(work, b);
             if (place_b != ZYGOS_NO_PLACE) {
-                out[stride * at(place_a, place_b)] += factor * local[at(a, b)];
+                out[stride * entry_at(place_a, place_b)] += factor * local[entry_at(a, b)];
             }
         }
     }
@@ -478,7 +469,7 @@ static void mark_identifiable(zygos_solver_t *work, uint32_t p, uint32_t rank, z
         }
         substitute(work->factor, 0, rank, x);
         for (uint32_t i = 0; i < rank; i++) {
-            if (magnitude(x[i][0]) > 1e-6) {
+            if (zygos_magnitude(x[i][0]) > 1e-6) {
                 out->identifiable[work->pivot[i]] = 0;
             }
         }
@@ -492,8 +483,9 @@ static double norm_of(const zygos_solver_t *work, uint32_t p, uint32_t rank)
     equations_of_all(work, p, rank, work->noise_scale, work->noise_scale);
     for (uint32_t i = 0; i < p; i++) {
         double column = 0.0;
-        for (uint32_t j = 0; (j < p) && (work->factor[at(i, i)] < infinity()); j++) {
-            column += (work->factor[at(j, j)] < infinity()) ? magnitude(work->matrix[at_any(i, j)][0]) : 0.0;
+        for (uint32_t j = 0; (j < p) && (work->factor[entry_at(i, i)] < infinity()); j++) {
+            column +=
+                (work->factor[entry_at(j, j)] < infinity()) ? zygos_magnitude(work->matrix[at_any(i, j)][0]) : 0.0;
         }
         norm = (column > norm) ? column : norm;
     }
@@ -527,7 +519,7 @@ static void add_squares(double *covariance, uint32_t p, double (*x)[2], const do
     for (uint32_t i = 0; i < p; i++) {
         const double first = factor[0] * x[i][0];
         const double second = factor[1] * x[i][1];
-        double *row = &covariance[at(i, 0)];
+        double *row = &covariance[entry_at(i, 0)];
         for (uint32_t j = 0; j <= i; j++) {
             row[j] += first * x[j][0] + second * x[j][1];
         }
@@ -600,7 +592,7 @@ static void add_block(const zygos_solver_t *work, uint32_t p, const parts_t *par
         couple->share[side] =
             work->joints_alone ? work->sums->joints.fade[g] * work->sums->joints.count[g] / work->instants : 0.0;
     }
-    for (uint32_t k = 0; (gram != NULL) && (k < at(p + 1u, 0)); k++) {
+    for (uint32_t k = 0; (gram != NULL) && (k < entry_at(p + 1u, 0)); k++) {
         out[2u * k] = weight * gram[k];
     }
 }
@@ -610,13 +602,13 @@ static void add_block(const zygos_solver_t *work, uint32_t p, const parts_t *par
 static couple_t influences(zygos_solver_t *work, uint32_t p, const parts_t *parts, uint32_t b)
 {
     couple_t out = { .count = 0 };
-    memset(work->matrix, 0, at(p + 1u, 0) * sizeof work->matrix[0]);
+    memset(work->matrix, 0, entry_at(p + 1u, 0) * sizeof work->matrix[0]);
     for (uint32_t k = b; (k < b + 2u) && (k < parts->all); k++) {
         add_block(work, p, parts, k, &out);
     }
     work->solution[p] = -1.0;
     for (uint32_t i = 0; i <= p; i++) {
-        double(*row)[2] = &work->matrix[at(i, 0)];
+        double(*row)[2] = &work->matrix[entry_at(i, 0)];
         double sum[2] = { 0.0 };
         const double own[2] = { work->solution[i], work->solution[i] };
         for (uint32_t j = 0; j < i; j++) {
@@ -644,7 +636,7 @@ static couple_t influences(zygos_solver_t *work, uint32_t p, const parts_t *part
 static void score_noise(const zygos_solver_t *work, uint32_t p)
 {
     work->solution[p] = -1.0;
-    multiply(work->sums->energy.noise_closed.gram, work->solution, p + 1u, work->right_side);
+    multiply_symmetric(work->sums->energy.noise_closed.gram, work->solution, p + 1u, work->right_side);
     for (uint32_t i = 0; i < p; i++) {
         work->right_side[i] *= work->noise_fraction;
     }
@@ -696,11 +688,11 @@ static void finish_jackknife(zygos_solver_t *work, uint32_t p, double *covarianc
         /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
         const double least = work->linearised_variance[i];
         const double variance = (work->product[i] > least) ? work->product[i] : least;
-        work->product[i] = (variance > 0.0) ? root(variance / covariance[at(i, i)]) : 1.0;
+        work->product[i] = (variance > 0.0) ? zygos_root(variance / covariance[entry_at(i, i)]) : 1.0;
     }
     for (uint32_t i = 0; i < p; i++) {
         for (uint32_t j = 0; j <= i; j++) {
-            covariance[at(i, j)] *= work->product[i] * work->product[j];
+            covariance[entry_at(i, j)] *= work->product[i] * work->product[j];
         }
     }
 }
@@ -719,7 +711,7 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     for (uint32_t k = 0; k < sizeof sums / sizeof sums[0]; k++) {
         memset(sums[k], 0, p * sizeof sums[k][0]);
     }
-    memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    memset(covariance, 0, entry_at(p, 0) * sizeof covariance[0]);
     score_noise(work, p);
     for (uint32_t b = 0; (b < parts.all) && !once; b += 2u) {
         const couple_t couple = influences(work, p, &parts, b);
@@ -727,10 +719,10 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     }
     finish_jackknife(work, p, covariance);
     if (once) {
-        memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+        memset(covariance, 0, entry_at(p, 0) * sizeof covariance[0]);
     }
     for (uint32_t i = 0; (i < p) && once; i++) {
-        covariance[at(i, i)] = infinity();
+        covariance[entry_at(i, i)] = infinity();
     }
 }
 
@@ -768,9 +760,9 @@ static void measure_columns(const zygos_solver_t *work, const double *x, double 
     uint32_t b = 0;
     for (uint32_t k = 0; k < column_map->body; k++) {
         if (k >= column_map->kinetic) {
-            moment = (magnitude(x[k]) > moment) ? magnitude(x[k]) : moment;
+            moment = (zygos_magnitude(x[k]) > moment) ? zygos_magnitude(x[k]) : moment;
         } else if (!pair_of(&work->sums->config, k, &a, &b) && (a == b)) {
-            diagonal[a] = magnitude(x[k]);
+            diagonal[a] = zygos_magnitude(x[k]);
         }
     }
     if ((work->sums->config.kinetic == ZYGOS_SPATIAL_ARM) && (work->sums->config.base == ZYGOS_BASE_FIXED)) {
@@ -780,15 +772,15 @@ static void measure_columns(const zygos_solver_t *work, const double *x, double 
         size[k] = (k < column_map->body) ? moment : 0.0;
         if (k < column_map->kinetic) {
             (void)pair_of(&work->sums->config, k, &a, &b);
-            size[k] = root(diagonal[a] * diagonal[b]);
+            size[k] = zygos_root(diagonal[a] * diagonal[b]);
         }
-        size[k] = (size[k] > magnitude(x[k])) ? size[k] : magnitude(x[k]);
+        size[k] = (size[k] > zygos_magnitude(x[k])) ? size[k] : zygos_magnitude(x[k]);
     }
 }
 
 /* The same for the parameters: one that counts for several columns by factors changes none of them by more than its
    size. It is at least the parameter itself. */
-static void measure(zygos_solver_t *work)
+static void measure_parameters(zygos_solver_t *work)
 {
     const zygos_config_t *config = &work->sums->config;
     double columns[ZYGOS_MAX_COLUMNS];
@@ -804,11 +796,11 @@ static void measure(zygos_solver_t *work)
     }
     for (uint32_t k = 0; k < config->reductions; k++) {
         const zygos_reduction_t *entry_k = &config->reduction[k];
-        const double own = size[entry_k->column] / magnitude(entry_k->factor);
+        const double own = size[entry_k->column] / zygos_magnitude(entry_k->factor);
         work->size[entry_k->parameter] = (own < work->size[entry_k->parameter]) ? own : work->size[entry_k->parameter];
     }
     for (uint32_t r = 0; r < work->column_map.parameters; r++) {
-        const double own = magnitude(work->solution[r]);
+        const double own = zygos_magnitude(work->solution[r]);
         work->size[r] = ((work->size[r] > own) && (work->size[r] < infinity())) ? work->size[r] : own;
     }
 }
@@ -843,11 +835,11 @@ static void subtract_rotors(const zygos_solver_t *work, double *m, uint32_t size
             } else {
                 /* Of a planar arm each direction has all of Im, for each a_ij stands once a direction. */
                 memset(y, 0, sizeof y);
-                y[base + 2u * i - 2u + d] = root(2.0);
+                y[base + 2u * i - 2u + d] = zygos_root(2.0);
             }
             for (uint32_t a = 0; a < size; a++) {
                 for (uint32_t b = 0; b <= a; b++) {
-                    m[at(a, b)] -= 0.5 * rotor * y[size - 1u - a] * y[size - 1u - b];
+                    m[entry_at(a, b)] -= 0.5 * rotor * y[size - 1u - a] * y[size - 1u - b];
                 }
             }
         }
@@ -861,16 +853,16 @@ static bool eliminates(double *m, uint32_t size, uint32_t split)
     double rest = 0.0;
     for (uint32_t i = 0; i < size; i++) {
         for (uint32_t j = 0; j <= i; j++) {
-            double sum = m[at(i, j)];
+            double sum = m[entry_at(i, j)];
             for (uint32_t k = 0; (k < j) && (k < split); k++) {
-                sum -= m[at(i, k)] * m[at(j, k)];
+                sum -= m[entry_at(i, k)] * m[entry_at(j, k)];
             }
             if (j >= split) {
                 rest += (i == j) ? sum : 0.0;
             } else if (i > j) {
-                m[at(i, j)] = sum / m[at(j, j)];
+                m[entry_at(i, j)] = sum / m[entry_at(j, j)];
             } else if (sum > 0.0) {
-                m[at(i, i)] = root(sum);
+                m[entry_at(i, i)] = zygos_root(sum);
             } else {
                 return false;
             }
@@ -890,20 +882,20 @@ static bool positive_definite(zygos_solver_t *work, const double *sigma)
     const uint32_t size = 2u * config->joints + (free ? (space ? 3u : 2u) : 0u);
     const uint32_t split = (space && !free) ? size - 2u : size;
     double *m = work->matrix[0];
-    memset(m, 0, at(size, 0) * sizeof m[0]);
+    memset(m, 0, entry_at(size, 0) * sizeof m[0]);
     for (uint32_t k = 0; k < work->column_map.kinetic; k++) {
         uint32_t a = 0;
         uint32_t b = 0;
         const bool cross = pair_of(config, k, &a, &b);
         const double value = work->solution[k] + ((a == b) ? ZYGOS_NEGATIVE_SIGMAS * sigma[k] : 0.0);
         if (space) {
-            m[at(size - 1u - a, size - 1u - b)] = value;
+            m[entry_at(size - 1u - a, size - 1u - b)] = value;
         } else if (cross) {
-            m[at(size - 2u - 2u * a, size - 1u - 2u * b)] = value;
-            m[at(size - 1u - 2u * a, size - 2u - 2u * b)] = -value;
+            m[entry_at(size - 2u - 2u * a, size - 1u - 2u * b)] = value;
+            m[entry_at(size - 1u - 2u * a, size - 2u - 2u * b)] = -value;
         } else {
-            m[at(size - 1u - 2u * a, size - 1u - 2u * b)] = value;
-            m[at(size - 2u - 2u * a, size - 2u - 2u * b)] = value;
+            m[entry_at(size - 1u - 2u * a, size - 1u - 2u * b)] = value;
+            m[entry_at(size - 2u - 2u * a, size - 2u - 2u * b)] = value;
         }
     }
     subtract_rotors(work, m, size);
@@ -960,7 +952,7 @@ static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
     out->sigma[i] = not_a_number();
     out->half95[i] = not_a_number();
     for (uint32_t j = 0; j < p; j++) {
-        out->covariance[(i >= j) ? at(i, j) : at(j, i)] = not_a_number();
+        out->covariance[(i >= j) ? entry_at(i, j) : entry_at(j, i)] = not_a_number();
     }
 }
 
@@ -970,7 +962,7 @@ static double noise_square(const zygos_solver_t *work, uint32_t p, double unexpl
 {
     double length = 0.0;
     for (uint32_t i = 0; i < p; i++) {
-        length += work->solution[i] * work->solution[i] * work->total[at(i, i)];
+        length += work->solution[i] * work->solution[i] * work->total[entry_at(i, i)];
     }
     return (unexplained > 0.0) ? unexplained / length : 0.0;
 }
@@ -985,7 +977,7 @@ static void solve_with(const zygos_solver_t *work, uint32_t p, uint32_t rank, do
     for (uint32_t i = 0; i < p; i++) {
         work->solution[i] = work->change[i][0];
     }
-    for (uint32_t k = 0; k < at(p, 0); k++) {
+    for (uint32_t k = 0; k < entry_at(p, 0); k++) {
         work->factor[k] = work->matrix[k][0];
     }
 }
@@ -997,7 +989,7 @@ static void shift_by_noise(const zygos_solver_t *work, uint32_t p, double noise,
     uint32_t rank[2];
     equations_of_all(work, p, p, work->noise_scale, 0.0);
     for (uint32_t i = 0; i < p; i++) {
-        work->matrix[at(i, i)][0] += noise;
+        work->matrix[entry_at(i, i)][0] += noise;
     }
     solve_both(work, p, rank);
     for (uint32_t i = 0; i < p; i++) {
@@ -1023,14 +1015,15 @@ static double noise_share(zygos_solver_t *work, uint32_t p, uint32_t rank)
         v[i] = 1.0 + 0.1 * (double)(i % 7u);
         along[i] = 0.0;
         for (uint32_t j = 0; j <= i; j++) {
-            scaled[at(i, j)] = (i < columns) ? work->noise[at(i, j)] * work->scale[i] * work->scale[j] : 0.0;
+            scaled[entry_at(i, j)] =
+                (i < columns) ? work->noise[entry_at(i, j)] * work->scale[i] * work->scale[j] : 0.0;
         }
     }
     for (uint32_t round = 0; (round < POWER_ROUNDS) && ((round < 2u) || (change > POWER_CHANGE)); round++) {
         double noise = 0.0;
         double sums = 0.0;
         double length = 0.0;
-        multiply(scaled, v, p, noisy);
+        multiply_symmetric(scaled, v, p, noisy);
         for (uint32_t i = 0; i < p; i++) {
             noise += v[i] * noisy[i];
             sums += v[i] * along[i];
@@ -1040,11 +1033,11 @@ static double noise_share(zygos_solver_t *work, uint32_t p, uint32_t rank)
         share = (sums > 0.0) ? noise / sums : 0.0;
         substitute(work->factor, 0, p, next);
         for (uint32_t i = 0; i < p; i++) {
-            length = (magnitude(next[i][0]) > length) ? magnitude(next[i][0]) : length;
+            length = (zygos_magnitude(next[i][0]) > length) ? zygos_magnitude(next[i][0]) : length;
         }
         change = 0.0;
         for (uint32_t i = 0; (i < p) && (length > 0.0); i++) {
-            const double step = magnitude(next[i][0] / length - v[i]);
+            const double step = zygos_magnitude(next[i][0] / length - v[i]);
             change = (step > change) ? step : change;
             v[i] = next[i][0] / length;
             along[i] = noisy[i] / length;
@@ -1132,11 +1125,11 @@ static uint32_t solve_beside_noise(zygos_solver_t *work, uint32_t p, uint32_t ra
 }
 
 /* Scales to the sums with their noise. Returns their rank. */
-static uint32_t begin(zygos_solver_t *work, uint32_t p)
+static uint32_t scale_sums(zygos_solver_t *work, uint32_t p)
 {
     for (uint32_t i = 0; i < p; i++) {
-        const double square = work->total[at(i, i)] + work->noise[at(i, i)];
-        work->scale[i] = (square > 0.0) ? 1.0 / root(square) : 0.0;
+        const double square = work->total[entry_at(i, i)] + work->noise[entry_at(i, i)];
+        work->scale[i] = (square > 0.0) ? 1.0 / zygos_root(square) : 0.0;
     }
     equations_of_all(work, p, p, 0.0, 0.0);
     return independent(work, p);
@@ -1151,7 +1144,7 @@ static double motor_noise(const zygos_solver_t *work, uint32_t i, double *x)
     for (uint32_t a = 0; a < sums->column_map.count[i]; a++) {
         x[a] = work->solution[place_of(work, i, a)];
         for (uint32_t b = 0; b <= a; b++) {
-            sum += ((a == b) ? 1.0 : 2.0) * x[a] * x[b] * sums->noise[i][at(a, b)];
+            sum += ((a == b) ? 1.0 : 2.0) * x[a] * x[b] * sums->noise[i][entry_at(a, b)];
         }
     }
     return sum;
@@ -1193,8 +1186,8 @@ static void add_motors(zygos_solver_t *work, double energy)
 static void widen(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     for (uint32_t i = 0; i < p; i++) {
-        out->covariance[at(i, i)] += work->noise_square[i];
-        out->sigma[i] = root(out->covariance[at(i, i)]);
+        out->covariance[entry_at(i, i)] += work->noise_square[i];
+        out->sigma[i] = zygos_root(out->covariance[entry_at(i, i)]);
     }
 }
 
@@ -1214,7 +1207,7 @@ static void add_common_error(const zygos_solver_t *work, uint32_t p, double syst
     const double alike = (out->cluster > noise) ? 1.0 - noise / out->cluster : 0.0;
     const double adds = (blocks - 1.0) * alike;
     const double stays = arcs * ((systematic > ZYGOS_SYSTEMATIC) ? systematic : ZYGOS_SYSTEMATIC);
-    for (uint32_t k = 0; k < at(p, 0); k++) {
+    for (uint32_t k = 0; k < entry_at(p, 0); k++) {
         out->covariance[k] *= 1.0 + ((adds > stays) ? adds : stays);
     }
 }
@@ -1273,8 +1266,8 @@ static void add_torque_noise(zygos_solver_t *work, uint32_t p, double *covarianc
 static void set_gain_cost(zygos_solver_t *work, uint32_t p, uint32_t g, double cost)
 {
     const double scale = work->scale[p - work->gains + g];
-    const double least = (scale > 0.0) ? root(LEAST_PRIOR) * gain_sigma(work, g) / scale : 0.0;
-    work->gain_cost[g] = (cost > least * least) ? root(cost) : least;
+    const double least = (scale > 0.0) ? zygos_root(LEAST_PRIOR) * gain_sigma(work, g) / scale : 0.0;
+    work->gain_cost[g] = (cost > least * least) ? zygos_root(cost) : least;
 }
 
 /* Gives the gains, which were held, their prior. It stands beside the sums as information does that is worth as much:
@@ -1292,14 +1285,14 @@ static void release_gains(zygos_solver_t *work, uint32_t p, uint32_t rank, doubl
     uint32_t ranks[2];
     solve_with(work, p, rank, work->noise_scale, work->noise_scale, ranks);
     (void)invert(work, p, work->inverse);
-    memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    memset(covariance, 0, entry_at(p, 0) * sizeof covariance[0]);
     const parts_t parts = parts_of(work);
     score_noise(work, p);
     for (uint32_t b = 0; b < parts.all; b += 2u) {
         const couple_t couple = influences(work, p, &parts, b);
         for (uint32_t g = first; g < p; g++) {
             for (uint32_t side = 0; side < couple.count; side++) {
-                covariance[at(g, g)] += couple.factor[side] * work->influence[g][side] * work->influence[g][side];
+                covariance[entry_at(g, g)] += couple.factor[side] * work->influence[g][side] * work->influence[g][side];
             }
         }
     }
@@ -1309,7 +1302,7 @@ static void release_gains(zygos_solver_t *work, uint32_t p, uint32_t rank, doubl
     for (uint32_t g = 0; g < work->gains; g++) {
         const double scale = work->scale[first + g];
         const double information = work->inverse[first + g] * scale * scale;
-        set_gain_cost(work, p, g, (information > 0.0) ? covariance[at(first + g, first + g)] / information : 0.0);
+        set_gain_cost(work, p, g, (information > 0.0) ? covariance[entry_at(first + g, first + g)] / information : 0.0);
     }
 }
 
@@ -1327,7 +1320,7 @@ static void add_prior(zygos_solver_t *work, uint32_t p, double *covariance)
     double expected[ZYGOS_MAX_JOINTS] = { 0.0 };
     memset(work->prior_variance, 0, p * sizeof work->prior_variance[0]);
     for (uint32_t g = 0; g < work->gains; g++) {
-        scatter[g] = covariance[at(first + g, first + g)];
+        scatter[g] = covariance[entry_at(first + g, first + g)];
     }
     for (uint32_t g = 0; (g <= work->gains) && (work->gains > 0); g++) {
         const bool reference = (g == work->gains);
@@ -1368,7 +1361,7 @@ static void write_intervals(const zygos_solver_t *work, uint32_t p, zygos_estima
         const double scatter = out->sigma[i] * out->sigma[i] - certain;
         const double factor = student(work->degrees_of_freedom[i]);
         const double square = factor * factor * ((scatter > 0.0) ? scatter : 0.0) + TWO_SIGMAS * TWO_SIGMAS * certain;
-        out->half95[i] = (certain > 0.0) ? root(square) : factor * out->sigma[i];
+        out->half95[i] = (certain > 0.0) ? zygos_root(square) : factor * out->sigma[i];
     }
 }
 
@@ -1400,8 +1393,8 @@ static void withhold_imprecise(zygos_solver_t *work, bool full, zygos_estimate_t
         solve_both(work, p, rank);
         for (uint32_t i = 0; i < p; i++) {
             const double shift = work->change[i][0] - out->value[i];
-            out->sigma[i] = root(out->sigma[i] * out->sigma[i] + shift * shift);
-            out->covariance[at(i, i)] += shift * shift;
+            out->sigma[i] = zygos_root(out->sigma[i] * out->sigma[i] + shift * shift);
+            out->covariance[entry_at(i, i)] += shift * shift;
         }
     }
     const double limit = (imprecise && full) ? ZYGOS_SIGMA_LIMIT_BESIDE : ZYGOS_SIGMA_LIMIT;
@@ -1440,8 +1433,8 @@ static double cluster(const zygos_solver_t *work, uint32_t p, double residual, d
         means += (block->head.total > 0.0) ? sum * sum / (block->head.total * block->head.total) : 0.0;
     }
     const double blocks = (double)(work->blocks.end - work->blocks.first);
-    const double spread = root(work->spread / work->instants);
-    *share = root(means / blocks) / spread;
+    const double spread = zygos_root(work->spread / work->instants);
+    *share = zygos_root(means / blocks) / spread;
     return squares / (blocks * residual * residual);
 }
 
@@ -1482,7 +1475,7 @@ static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t en
         work->arcs.end++;
     }
     choose_momenta(work, after, (end == sums->store.closed) ? work->sums->cycle : until);
-    memset(work->total, 0, at(p + 1u, 0) * sizeof work->total[0]);
+    memset(work->total, 0, entry_at(p + 1u, 0) * sizeof work->total[0]);
     work->instants = 0.0;
     work->joints_alone = 0;
     work->joints_weight = 0.0;
@@ -1491,14 +1484,14 @@ static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t en
         const zygos_block_t *block = zygos_accumulator_at(sums, b);
         all += block->head.total;
         if ((b >= first) && (b < end)) {
-            increase(work->total, block->gram, 1.0, at(p + 1u, 0));
+            increase(work->total, block->gram, 1.0, entry_at(p + 1u, 0));
             work->instants += block->head.total;
         }
     }
-    work->spread = work->total[at(p, p)];
+    work->spread = work->total[entry_at(p, p)];
     work->noise_fraction = (all > 0.0) ? work->instants / all : 0.0;
-    memset(work->noise, 0, at(p + 1u, 0) * sizeof work->noise[0]);
-    increase(work->noise, sums->noise_closed.gram, work->noise_fraction, at(p + 1u, 0));
+    memset(work->noise, 0, entry_at(p + 1u, 0) * sizeof work->noise[0]);
+    increase(work->noise, sums->noise_closed.gram, work->noise_fraction, entry_at(p + 1u, 0));
 }
 
 /* The same for a solution of its own: the weights of all rows follow from it. */
@@ -1519,19 +1512,19 @@ static void choose_joints(zygos_solver_t *work, uint32_t p, uint32_t first, uint
     work->arcs.end = 0;
     work->momenta.first = 0;
     work->momenta.end = 0;
-    memset(work->total, 0, at(p + 1u, 0) * sizeof work->total[0]);
-    memset(work->noise, 0, at(p + 1u, 0) * sizeof work->noise[0]);
+    memset(work->total, 0, entry_at(p + 1u, 0) * sizeof work->total[0]);
+    memset(work->noise, 0, entry_at(p + 1u, 0) * sizeof work->noise[0]);
     work->instants = 0.0;
     work->joints_alone = 1;
     work->joints_used = 1;
     work->joints_weight = 1.0;
     for (uint32_t g = first; g < end; g++) {
-        increase(work->total, sums->group[g].gram, group_factor(work, g), at(p + 1u, 0));
+        increase(work->total, sums->group[g].gram, group_factor(work, g), entry_at(p + 1u, 0));
         work->instants += sums->fade[g] * sums->count[g];
     }
     const double all = zygos_joint_sums_rows(sums);
-    increase(work->noise, sums->noise.gram, (all > 0.0) ? work->instants / all : 0.0, at(p + 1u, 0));
-    work->spread = work->total[at(p, p)];
+    increase(work->noise, sums->noise.gram, (all > 0.0) ? work->instants / all : 0.0, entry_at(p + 1u, 0));
+    work->spread = work->total[entry_at(p, p)];
     work->noise_fraction = 1.0;
 }
 
@@ -1549,7 +1542,7 @@ static uint32_t groups_of(const zygos_joint_sums_t *sums)
    the sums of both. Returns their rank. */
 static uint32_t with_motors(zygos_solver_t *work, uint32_t p)
 {
-    const uint32_t rank = begin(work, p);
+    const uint32_t rank = scale_sums(work, p);
     const bool others =
         (work->momenta.first != work->momenta.end) || (zygos_joint_sums_rows(&work->sums->joints) > 0.0);
     work->alone = 0.0;
@@ -1564,7 +1557,7 @@ static uint32_t with_motors(zygos_solver_t *work, uint32_t p)
     work->alone = energy_left(work, p, work->solution, &explained);
     memcpy(work->weight, weight, sizeof weight);
     add_motors(work, explained / work->instants);
-    return begin(work, p);
+    return scale_sums(work, p);
 }
 
 /* Weighs the momentum rows of the chosen blocks unless they have a weight, by what the declared noise makes of a row of
@@ -1601,7 +1594,7 @@ static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank)
     }
     embed_momentum(work, sums->noise_closed.gram, weight * chosen / all, work->noise, 1u);
     work->momentum_weight = weight;
-    return begin(work, p);
+    return scale_sums(work, p);
 }
 
 /* Weighs the joint rows beside the others, by what the declared noise makes of an energy row, and by the mean square
@@ -1631,16 +1624,16 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank)
         const double energy = explained / work->instants;
         const double weight = (square > 0.0) ? energy * rows / (JOINT_CORRELATION * square) : 0.0;
         if (!(weight > 0.0)) {
-            return begin(work, p); /* of the sums with their noise again */
+            return scale_sums(work, p); /* of the sums with their noise again */
         }
         const double more = weight - weighed;
         for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-            increase(work->total, sums->group[g].gram, more * sums->fade[g], at(p + 1u, 0));
+            increase(work->total, sums->group[g].gram, more * sums->fade[g], entry_at(p + 1u, 0));
         }
-        increase(work->noise, sums->noise.gram, more, at(p + 1u, 0));
+        increase(work->noise, sums->noise.gram, more, entry_at(p + 1u, 0));
         weighed = weight;
         work->joints_weight = weight;
-        now = begin(work, p);
+        now = scale_sums(work, p);
     }
     return now;
 }
@@ -1649,7 +1642,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank)
 static uint32_t combine(zygos_solver_t *work, uint32_t p)
 {
     if (work->joints_alone) {
-        return begin(work, p);
+        return scale_sums(work, p);
     }
     return with_joints(work, p, with_momentum(work, p, with_motors(work, p)));
 }
@@ -1662,7 +1655,7 @@ static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, double r
     const double squares = (sums->joint_sums > 0.0) ? apart / sums->joint_sums : 0.0;
     /* Each sum is divided by the root of twice its number of rows. */
     const double rows = (sums->joint_sums > 0.0) ? work->instants / sums->joint_sums : 1.0;
-    *share = (work->spread > 0.0) ? root(2.0 * squares / rows * work->instants / work->spread) : 0.0;
+    *share = (work->spread > 0.0) ? zygos_root(2.0 * squares / rows * work->instants / work->spread) : 0.0;
     return squares / (residual * residual);
 }
 
@@ -1699,7 +1692,7 @@ static residuals_t residuals_of(const zygos_solver_t *work, uint32_t p)
 {
     residuals_t out = { .share = 0.0 };
     out.square = energy_left(work, p, work->solution, &out.explained);
-    const double residual = root(out.square / work->instants);
+    const double residual = zygos_root(out.square / work->instants);
     if ((residual > 0.0) && (work->joints_alone != 0)) {
         out.cluster = cluster_of_joints(work, p, residual, &out.share);
     } else if (residual > 0.0) {
@@ -1713,7 +1706,7 @@ static residuals_t residuals_of(const zygos_solver_t *work, uint32_t p)
 static bool report_residuals(const zygos_solver_t *work, const residuals_t *left, zygos_estimate_t *out)
 {
     const double least = work->joints_alone ? ZYGOS_JOINT_CLUSTER_SHARE : ZYGOS_CLUSTER_SHARE;
-    out->residual = root(left->square / work->instants);
+    out->residual = zygos_root(left->square / work->instants);
     out->noise_ratio = (left->explained > 0.0) ? left->square / left->explained : not_a_number();
     out->cluster = left->cluster;
     return (left->cluster <= ZYGOS_CLUSTER_LIMIT) || (left->share <= least);
@@ -1724,15 +1717,15 @@ static bool report_residuals(const zygos_solver_t *work, const residuals_t *left
 static double least_left(double *gram, uint32_t count)
 {
     for (uint32_t k = 0; k < count; k++) {
-        const double pivot = gram[at(k, k)];
+        const double pivot = gram[entry_at(k, k)];
         for (uint32_t i = k + 1u; (i <= count) && (pivot > 0.0); i++) {
-            const double factor = gram[at(i, k)] / pivot;
+            const double factor = gram[entry_at(i, k)] / pivot;
             for (uint32_t j = k + 1u; j <= i; j++) {
-                gram[at(i, j)] -= factor * gram[at(j, k)];
+                gram[entry_at(i, j)] -= factor * gram[entry_at(j, k)];
             }
         }
     }
-    return gram[at(count, count)];
+    return gram[entry_at(count, count)];
 }
 
 /* Whether rows leave over more together with others than alone: excess, of what they leave alone, and as a share of the
@@ -1762,14 +1755,14 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
         return false;
     }
     for (uint32_t b = work->arcs.first; b < work->arcs.end; b++) {
-        for (uint32_t k = 0; k < at(count + 1u, 0); k++) {
+        for (uint32_t k = 0; k < entry_at(count + 1u, 0); k++) {
             gram[k] += zygos_motor_sums_at(sums, b)->joint[i].gram[k];
         }
         instants += zygos_motor_sums_at(sums, b)->instants[i];
     }
     const double noise = instants * motor_noise(work, i, x);
     const double together = form(gram, x, count);
-    const double squares = gram[at(count, count)];
+    const double squares = gram[entry_at(count, count)];
     /* The gain's column, the last one, is the right side with the other sign. */
     const uint32_t gain = ((count > 3u) && (work->sums->config.effect[sums->column_map.effect[i][count - 4u]].kind ==
                                             (uint32_t)ZYGOS_TORQUE_GAIN))
@@ -1777,7 +1770,7 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
                               : 0u;
     const double reported = (gain != 0u) ? 1.0 + x[count - 1u] : 1.0;
     for (uint32_t a = 0; (a <= count - gain) && (gain != 0u); a++) {
-        gram[at(count - gain, a)] = (a < count - gain) ? gram[at(count, a)] : gram[at(count, count)];
+        gram[entry_at(count - gain, a)] = (a < count - gain) ? gram[entry_at(count, a)] : gram[entry_at(count, count)];
     }
     const double alone = reported * reported * least_left(gram, count - gain);
     const double fitted = (double)count / instants;
@@ -1804,7 +1797,7 @@ static bool fits(const zygos_solver_t *work, uint32_t p, const residuals_t *left
 
 /* Weighs all rows. Where gains are held while that is done, it judges whether the rows fit, gives the gains their
    priors, and weighs the rows again. Scales their sums, and returns their rank; 0: nothing is determined. */
-static uint32_t weigh(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
+static uint32_t weigh_rows(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     const uint32_t rank = combine(work, p);
     if ((rank == 0) || (work->gains_held == 0)) {
@@ -1815,7 +1808,7 @@ static uint32_t weigh(zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
     work->fits = fits(work, p, &left, work->alone) ? 1u : 0u;
     release_gains(work, p, rank, out->covariance);
     if (work->joints_alone != 0) {
-        return begin(work, p);
+        return scale_sums(work, p);
     }
     /* Weights follow from a solution, and one with held gains may have been far off. */
     choose_anew(work, p, work->blocks.first, work->blocks.end);
@@ -1836,7 +1829,7 @@ static bool fits_with_gains(zygos_solver_t *work, uint32_t p, const residuals_t 
     }
     work->gains_held = 1;
     choose_anew(work, p, work->blocks.first, work->blocks.end);
-    (void)solve_beside_noise(work, p, begin(work, p), NULL);
+    (void)solve_beside_noise(work, p, scale_sums(work, p), NULL);
     const double alone = energy_left(work, p, work->solution, &explained);
     return good && ((left->walk > 1.0) || !energy_disturbed(work, p, left->square, alone, 1.0 + left->walk));
 }
@@ -1918,7 +1911,7 @@ static uint32_t choose_from(zygos_solver_t *work, uint32_t p, uint32_t first, co
 /* Solves the chosen rows. Returns the reason for which there is no solution, if there is none. */
 static uint32_t solve_chosen_rows(zygos_solver_t *work, uint32_t p, solved_t *found, zygos_estimate_t *out)
 {
-    found->rank = weigh(work, p, out);
+    found->rank = weigh_rows(work, p, out);
     out->rank = found->rank;
     if (found->rank == 0) {
         return ZYGOS_REASON_NOT_IDENTIFIABLE;
@@ -1983,7 +1976,7 @@ static uint32_t write_sigmas(zygos_solver_t *work, uint32_t p, solved_t *found, 
     add_prior(work, p, out->covariance);
     shift_by_noise(work, p, found->hidden, found->noisy);
     widen(work, p, out);
-    measure(work);
+    measure_parameters(work);
     withhold_imprecise(work, found->full, out);
     found->known = 0;
     for (uint32_t i = 0; i < effects; i++) {
@@ -2003,7 +1996,7 @@ static uint32_t write_sigmas(zygos_solver_t *work, uint32_t p, solved_t *found, 
 }
 
 /* Why an estimate is doubtful, if it is. */
-static uint32_t doubt(zygos_solver_t *work, uint32_t p, const solved_t *found, const zygos_estimate_t *out)
+static uint32_t doubt_of(zygos_solver_t *work, uint32_t p, const solved_t *found, const zygos_estimate_t *out)
 {
     const bool sound = physical(work, out);
     const bool fit = (work->gains_seen > 0) ? fits_with_gains(work, p, &found->left) : (work->fits != 0);
@@ -2049,7 +2042,7 @@ static int solve_from(zygos_solver_t *work, zygos_estimate_t *out, uint32_t firs
     if (reason != (uint32_t)ZYGOS_REASON_NONE) {
         return refuse(out, p, reason);
     }
-    out->reason = doubt(work, p, &found, out);
+    out->reason = doubt_of(work, p, &found, out);
     out->validity = (out->reason != (uint32_t)ZYGOS_REASON_NONE) ? ZYGOS_DOUBTFUL : ZYGOS_VALID;
     if (out->validity == (uint32_t)ZYGOS_VALID) {
         if (found.noisy) {
@@ -2152,7 +2145,7 @@ static void borrow(zygos_solver_t *work)
 
 static void give_back(const zygos_solver_t *work)
 {
-    const uint32_t entries = at(work->column_map.parameters + 1u, 0);
+    const uint32_t entries = entry_at(work->column_map.parameters + 1u, 0);
     memset(work->total, 0, entries * sizeof work->total[0]);
     memset(work->noise, 0, entries * sizeof work->noise[0]);
     memset(work->factor, 0, entries * sizeof work->factor[0]);
@@ -2171,7 +2164,7 @@ typedef struct {
 } head_t;
 
 /* Copies what an estimate has to a place, or back. */
-static void carry(void *own, void *aside, size_t size, bool back)
+static void carry_aside(void *own, void *aside, size_t size, bool back)
 {
     memcpy(back ? own : aside, back ? aside : own, size);
 }
@@ -2185,11 +2178,11 @@ static void put_aside(zygos_solver_t *work, zygos_estimate_t *out, head_t *head,
     const uint32_t p = work->column_map.parameters;
     const uint32_t first = 2u * COUPLES + VECTORS;
     for (uint32_t k = 0; k < ASIDE; k++) {
-        carry(own[k], vector(sums, first + k), p * sizeof(double), back);
+        carry_aside(own[k], vector(sums, first + k), p * sizeof(double), back);
     }
-    carry(out, head, sizeof *head, back);
-    carry(out->identifiable, vector(sums, first + ASIDE), p * sizeof out->identifiable[0], back);
-    carry(out->covariance, free_triangle(sums), at(p, 0) * sizeof(double), back);
+    carry_aside(out, head, sizeof *head, back);
+    carry_aside(out->identifiable, vector(sums, first + ASIDE), p * sizeof out->identifiable[0], back);
+    carry_aside(out->covariance, free_triangle(sums), entry_at(p, 0) * sizeof(double), back);
 }
 
 /* Repeats the solution without old arcs where they may be bad. The solution of all arcs is put aside meanwhile, so that
@@ -2222,7 +2215,7 @@ static int solve_well(zygos_solver_t *work, zygos_estimate_t *out)
         put_aside(work, out, &head, true);
         answer = whole;
     }
-    memset(free_triangle(&work->sums->energy), 0, at(work->column_map.parameters, 0) * sizeof(double));
+    memset(free_triangle(&work->sums->energy), 0, entry_at(work->column_map.parameters, 0) * sizeof(double));
     return answer;
 }
 

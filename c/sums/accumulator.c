@@ -1,5 +1,7 @@
 #include "zygos/priv/accumulator.h"
 
+#include "zygos/priv/numbers.h"
+
 #include <string.h>
 
 /* Initial number of segments of the longest arc: many, but none shorter than a second unless the arc would have only a
@@ -19,7 +21,7 @@ static double rounded(double instants)
     return 1e-9 + 2.220446049250313e-16 * instants;
 }
 
-static zygos_block_t *at(zygos_accumulator_t *self, uint32_t place)
+static zygos_block_t *energy_block(zygos_accumulator_t *self, uint32_t place)
 {
     return &self->block[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
 }
@@ -289,8 +291,8 @@ __attribute__((always_inline)) static inline void add_matrix_row(zygos_row_buffe
    share of all entries. */
 static void add_slices(zygos_accumulator_t *self, zygos_row_buffer_t *buffer, uint32_t slices)
 {
-    zygos_block_t *falling = at(self, older_of(buffer->blocks));
-    zygos_block_t *rising = at(self, newer_of(buffer->blocks));
+    zygos_block_t *falling = energy_block(self, older_of(buffer->blocks));
+    zygos_block_t *rising = energy_block(self, newer_of(buffer->blocks));
     buffer->shared += slices;
     const uint32_t most = zygos_gram_entries(self->width) * buffer->shared;
     uint32_t row = buffer->row;
@@ -305,7 +307,7 @@ static void add_slices(zygos_accumulator_t *self, zygos_row_buffer_t *buffer, ui
 }
 
 /* The buffers behind the one that is filled, the older one first. */
-static zygos_row_buffer_t *behind(zygos_accumulator_t *self, uint32_t step)
+static zygos_row_buffer_t *buffer_behind(zygos_accumulator_t *self, uint32_t step)
 {
     const uint32_t b = self->filling + step;
     return &self->buffer[(b < ZYGOS_ROW_BUFFERS) ? b : b - ZYGOS_ROW_BUFFERS];
@@ -319,8 +321,8 @@ static uint32_t left_of(const zygos_row_buffer_t *buffer)
 /* The next slices of the buffers that wait, two of one that waits alone. Returns the number of buffers. */
 static uint32_t share_slices(zygos_accumulator_t *self, uint32_t of_two)
 {
-    zygos_row_buffer_t *older = behind(self, 1u);
-    zygos_row_buffer_t *newer = behind(self, 2u);
+    zygos_row_buffer_t *older = buffer_behind(self, 1u);
+    zygos_row_buffer_t *newer = buffer_behind(self, 2u);
     const uint32_t waiting = (left_of(older) > 0 ? 1u : 0u) + (left_of(newer) > 0 ? 1u : 0u);
     const uint32_t slices = (waiting > 1u) ? of_two : 2u;
     const uint32_t first = (left_of(older) < slices) ? left_of(older) : slices;
@@ -338,7 +340,7 @@ bool zygos_accumulator_share_slices(zygos_accumulator_t *self)
 void zygos_accumulator_share_out(zygos_accumulator_t *self)
 {
     for (uint32_t step = 1; step < ZYGOS_ROW_BUFFERS; step++) {
-        add_slices(self, behind(self, step), left_of(behind(self, step)));
+        add_slices(self, buffer_behind(self, step), left_of(buffer_behind(self, step)));
     }
 }
 
@@ -372,8 +374,8 @@ static void next_buffer(zygos_accumulator_t *self)
     }
     const uint32_t older = self->store.order[self->store.count - 2u];
     const uint32_t newer = self->store.order[self->store.count - 1u];
-    zygos_block_t *falling = at(self, older);
-    zygos_block_t *rising = at(self, newer);
+    zygos_block_t *falling = energy_block(self, older);
+    zygos_block_t *rising = energy_block(self, newer);
     const double n = buffer->instants;
     const double reached = (self->segment + 0.5 * n) / self->length;
     const double late = (reached < 1.0) ? reached : 1.0;
@@ -405,7 +407,7 @@ static void next_buffer(zygos_accumulator_t *self)
 }
 
 /* The rows in the buffer that is filled, if there are any. */
-static void hand_over(zygos_accumulator_t *self)
+static void hand_rows_over(zygos_accumulator_t *self)
 {
     if ((self->filled > 0) && (self->store.count > self->store.fresh)) {
         next_buffer(self);
@@ -415,7 +417,7 @@ static void hand_over(zygos_accumulator_t *self)
 void zygos_accumulator_flush(zygos_accumulator_t *self)
 {
     zygos_accumulator_share_out(self);
-    hand_over(self);
+    hand_rows_over(self);
     zygos_accumulator_share_out(self);
 }
 
@@ -471,7 +473,7 @@ bool zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
 
 void zygos_accumulator_end_rows(zygos_accumulator_t *self)
 {
-    hand_over(self);
+    hand_rows_over(self);
     self->segment = 0.0;
 }
 
@@ -505,28 +507,24 @@ bool zygos_accumulator_steady(const zygos_accumulator_t *self)
     return good && (parities <= 1u);
 }
 
-static bool is_count(double instants)
-{
-    return (instants >= 0.0) && (instants <= ZYGOS_MAX_INSTANTS);
-}
-
 /* Without blocks there is no segment. */
 bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters)
 {
     const bool is_open = (self->store.count > self->store.fresh);
     return (parameters <= (uint32_t)ZYGOS_MAX_PARAMETERS) && (self->width == parameters + 2u) &&
-           zygos_store_intact(&self->store, KIND, true) && zygos_accumulator_steady(self) && is_count(self->segment) &&
-           (is_open || !(self->segment > 0.0)) && (!is_open || ((self->length >= 1.0) && is_count(self->length)));
+           zygos_store_intact(&self->store, KIND, true) && zygos_accumulator_steady(self) &&
+           zygos_is_count(self->segment) && (is_open || !(self->segment > 0.0)) &&
+           (!is_open || ((self->length >= 1.0) && zygos_is_count(self->length)));
 }
 
 bool zygos_accumulator_is_open_whole(const zygos_accumulator_t *self)
 {
-    bool whole = zygos_accumulator_steady(self) && is_count(self->segment);
+    bool whole = zygos_accumulator_steady(self) && zygos_is_count(self->segment);
     for (uint32_t r = self->store.fresh; whole && (r < self->store.count); r++) {
         whole = is_twice(zygos_accumulator_at(self, r)->variance);
     }
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
-        whole = whole && is_count(self->buffer[b].instants) && (self->buffer[b].variance >= 0.0);
+        whole = whole && zygos_is_count(self->buffer[b].instants) && (self->buffer[b].variance >= 0.0);
     }
     return whole;
 }

@@ -1,13 +1,10 @@
 #include "zygos/priv/gram.h"
 
+#include "zygos/priv/numbers.h"
+
 #include <string.h>
 
 #define EPSILON 2.220446049250313e-16
-
-static double larger(double a, double b)
-{
-    return (a > b) ? a : b;
-}
 
 void zygos_gram_add(double *restrict gram, double *restrict sum, uint32_t width, const double *restrict z)
 {
@@ -77,22 +74,22 @@ void zygos_gram_scan(zygos_gram_scan_t *scan, const double *gram, uint32_t first
             odd += from[j + 1u];
             sum[j] += from[j];
             sum[j + 1u] += from[j + 1u];
-            most[j] = larger(size, most[j]);
-            most[j + 1u] = larger(other, most[j + 1u]);
-            top = larger(size, top);
-            other_top = larger(other, other_top);
+            most[j] = zygos_larger(size, most[j]);
+            most[j + 1u] = zygos_larger(other, most[j + 1u]);
+            top = zygos_larger(size, top);
+            other_top = zygos_larger(other, other_top);
         }
         if (j < i) {
             even += from[j];
             sum[j] += from[j];
-            most[j] = larger(__builtin_fabs(from[j]), most[j]);
-            top = larger(__builtin_fabs(from[j]), top);
+            most[j] = zygos_larger(__builtin_fabs(from[j]), most[j]);
+            top = zygos_larger(__builtin_fabs(from[j]), top);
         }
-        top = larger(other_top, top);
+        top = zygos_larger(other_top, top);
         const double size = __builtin_fabs(from[i]);
         sum[i] = even + odd + from[i];
-        most[i] = larger(size, top);
-        scan->largest = larger(most[i], scan->largest);
+        most[i] = zygos_larger(size, top);
+        scan->largest = zygos_larger(most[i], scan->largest);
         from += i + 1u;
     }
 }
@@ -106,7 +103,7 @@ double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uin
         const double off = __builtin_fabs(scan->sum[i] - sum[i]);
         const double square = __builtin_fabs(gram[zygos_gram_entries(i + 1u) - 1u]);
         const double bound = __builtin_sqrt(square) * __builtin_sqrt(scan->largest);
-        const double tolerance = share * larger(bound, scan->most[i]);
+        const double tolerance = share * zygos_larger(bound, scan->most[i]);
         /* Not-a-number compares false with everything; neither it nor infinity is a sum. */
         const bool good = (off <= tolerance) && (tolerance < 1e300);
         const double ratio = good ? off / (tolerance + 1e-300) : 2.0;

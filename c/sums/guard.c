@@ -1,6 +1,7 @@
 #include "zygos/priv/guard.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 #include "zygos/priv/sums.h"
 
 #include <stddef.h>
@@ -36,7 +37,7 @@ void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle)
 }
 
 /* Each iteration is a bijection, so that every flipped bit changes the result. */
-static uint64_t checksum_of(const zygos_guard_t *self)
+static uint64_t guard_checksum(const zygos_guard_t *self)
 {
     const unsigned char *from = (const unsigned char *)&self->noise_ratio;
     const size_t fixed = offsetof(zygos_guard_t, covariance) - offsetof(zygos_guard_t, noise_ratio);
@@ -66,7 +67,7 @@ bool zygos_guard_has_solution(zygos_guard_t *self, uint32_t parameters)
     if (self->known == 0) {
         return false;
     }
-    if ((self->parameters != parameters) || (self->checksum != checksum_of(self))) {
+    if ((self->parameters != parameters) || (self->checksum != guard_checksum(self))) {
         self->known = 0;
         self->lost++;
         return false;
@@ -118,19 +119,15 @@ double zygos_guard_chi_square_limit(double freedom)
     return ZYGOS_GUARD_MARGIN * third * third * third;
 }
 
-static double larger(double a, double b)
-{
-    return (a > b) ? a : b;
-}
-
 /* The limit of the residuals: what n instants of the run leave on average, by number and by spread, or what the
    declared noise leaves. */
 static double limit_of(const zygos_finding_t *found, const zygos_mean_squares_t *run, double n, double freedom)
 {
-    const double spread = larger(found->spread, n * run->spread);
-    const double alike = larger(n * run->residual, (run->spread > 0.0) ? run->residual / run->spread * spread : 0.0);
-    return zygos_guard_chi_square_limit(freedom) * larger(found->expected, alike) +
-           SIGMAS * SIGMAS * larger(found->uncertainty, 0.0) + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * spread;
+    const double spread = zygos_larger(found->spread, n * run->spread);
+    const double alike =
+        zygos_larger(n * run->residual, (run->spread > 0.0) ? run->residual / run->spread * spread : 0.0);
+    return zygos_guard_chi_square_limit(freedom) * zygos_larger(found->expected, alike) +
+           SIGMAS * SIGMAS * zygos_larger(found->uncertainty, 0.0) + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * spread;
 }
 
 static uint32_t longest(const zygos_config_t *config, uint32_t rows)
@@ -218,7 +215,7 @@ static void add_part(zygos_guard_t *self, const zygos_accumulator_t *sums, uint3
 }
 
 /* The sum of residuals of a block. */
-static void add_block(zygos_guard_t *self, const zygos_block_t *block, const double *deviation, uint32_t p)
+static void add_block_residuals(zygos_guard_t *self, const zygos_block_t *block, const double *deviation, uint32_t p)
 {
     if (!(block->square > 0.0)) {
         return;
@@ -241,19 +238,19 @@ static double contradiction_of_energy(zygos_guard_t *self, const zygos_config_t 
     self->rows.residual += self->noise.residual;
     const double limit = limit_of(&self->rows, &self->energy, n, n / window);
     /* The squared sums of residuals in blocks: by the cluster statistic of the run and the expected mean square. */
-    const double expected = larger(self->rows.expected / n, self->energy.residual);
+    const double expected = zygos_larger(self->rows.expected / n, self->energy.residual);
     const double most = zygos_guard_chi_square_limit(0.5 * self->compared) * self->cluster * expected * self->compared +
-                        SIGMAS * SIGMAS * larger(self->blocks.uncertainty, 0.0) +
+                        SIGMAS * SIGMAS * zygos_larger(self->blocks.uncertainty, 0.0) +
                         ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * self->energy.spread * self->share;
     const double first = (limit > 0.0) ? self->rows.residual / limit : 0.0;
     const double second = (most > 0.0) ? self->blocks.residual / most : 0.0;
     *informative = limit < INFORMATIVE * self->rows.spread;
-    return larger(first, second);
+    return zygos_larger(first, second);
 }
 
 double zygos_guard_enough(const zygos_config_t *config, uint32_t parameters)
 {
-    return larger(0.5 * (double)config->arc_cycles, ZYGOS_GUARD_HELD * (double)parameters);
+    return zygos_larger(0.5 * (double)config->arc_cycles, ZYGOS_GUARD_HELD * (double)parameters);
 }
 
 /* Whether the closing arc is added to those that are held, or replaces them. */
@@ -299,7 +296,7 @@ static void judge_energy(zygos_guard_t *self, const zygos_accumulator_t *sums, u
     add_part(self, sums, end, block->gram, deviation, &self->rows);
     hold_part(self, sums, end, block);
     if (end + 1u >= sums->width) {
-        add_block(self, block, deviation, sums->width - 2u);
+        add_block_residuals(self, block, deviation, sums->width - 2u);
     }
 }
 
@@ -352,7 +349,7 @@ static void judge_joint(zygos_guard_t *self, const zygos_config_t *config, const
     add_motor_residuals(self, config, column_map, sums, closing, i, &found);
     const double limit = limit_of(&found, &self->motor[i], n, 1.0);
     self->motor_informative |= (limit < INFORMATIVE * found.spread) ? 1u : 0u;
-    self->motor_worst = (limit > 0.0) ? larger(self->motor_worst, found.residual / limit) : self->motor_worst;
+    self->motor_worst = (limit > 0.0) ? zygos_larger(self->motor_worst, found.residual / limit) : self->motor_worst;
 }
 
 /* As many columns as there is room for, whatever memory says. */
@@ -426,7 +423,7 @@ static double contradiction_of_momentum(const zygos_guard_t *self, double n, boo
     return (limit > 0.0) ? found.residual / limit : 0.0;
 }
 
-static bool is_compared(const zygos_guard_t *self, uint32_t kind)
+static bool compares_kind(const zygos_guard_t *self, uint32_t kind)
 {
     return ((self->comparing >> kind) & 1u) != 0;
 }
@@ -502,9 +499,9 @@ void zygos_guard_proceed(zygos_sums_t *sums, uint32_t kind)
     if (zygos_store_is_first_part(store, kind)) {
         begin_comparison(sums, kind);
     }
-    const uint32_t end = is_compared(&sums->guard, kind) ? compare_part(sums, store, kind) : ZYGOS_MAX_ANY_ROW;
+    const uint32_t end = compares_kind(&sums->guard, kind) ? compare_part(sums, store, kind) : ZYGOS_MAX_ANY_ROW;
     if (!zygos_store_judged_rows(store, kind, end)) {
-        zygos_store_judged(store, kind, !is_compared(&sums->guard, kind) || !is_contradiction(sums, store, kind));
+        zygos_store_judged(store, kind, !compares_kind(&sums->guard, kind) || !is_contradiction(sums, store, kind));
     }
 }
 
@@ -562,7 +559,7 @@ static zygos_mean_squares_t mean_squares_of(const zygos_finding_t *found, double
     zygos_mean_squares_t out = { 0.0, 0.0 };
     if ((n > 0.0) && (found->residual > 0.0)) {
         out.residual = found->residual / n;
-        out.spread = larger(found->spread, 0.0) / n;
+        out.spread = zygos_larger(found->spread, 0.0) / n;
     }
     return out;
 }
@@ -580,7 +577,7 @@ static double spread_of_energy(const zygos_accumulator_t *sums)
                       : 0.0;
         n += instants;
     }
-    return (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
+    return (n > 0.0) ? zygos_larger(spread, 0.0) / n : 0.0;
 }
 
 static double spread_of_joints(const zygos_joint_sums_t *sums)
@@ -590,7 +587,7 @@ static double spread_of_joints(const zygos_joint_sums_t *sums)
     for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
         spread += sums->fade[g] * sums->group[g].gram[zygos_gram_entries(sums->width) - 1u];
     }
-    return (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
+    return (n > 0.0) ? zygos_larger(spread, 0.0) / n : 0.0;
 }
 
 static void activate(zygos_guard_t *self, uint32_t parameters)
@@ -606,7 +603,7 @@ static void activate(zygos_guard_t *self, uint32_t parameters)
 }
 
 /* Activates the running solution that was written (noise_ratio, cluster, energy.residual, solution, covariance). */
-static void begin(zygos_sums_t *sums)
+static void begin_solution(zygos_sums_t *sums)
 {
     zygos_guard_t *self = &sums->guard;
     const zygos_config_t *config = &sums->config;
@@ -651,7 +648,7 @@ static void begin(zygos_sums_t *sums)
     }
     self->momentum = mean_squares_of(&found, n);
     activate(self, column_map->parameters);
-    self->checksum = checksum_of(self);
+    self->checksum = guard_checksum(self);
 }
 
 static bool is_within(double x, double low, double high)
@@ -702,7 +699,7 @@ bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
             self->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
         }
     }
-    begin(sums);
+    begin_solution(sums);
     return true;
 }
 

@@ -1,6 +1,7 @@
 #include "zygos/priv/jointsums.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 #include "zygos/priv/reduction.h"
 
 #include <stddef.h>
@@ -23,17 +24,17 @@ static unsigned char *sealed_of(zygos_joint_sums_t *self)
     return (unsigned char *)(void *)self + offsetof(zygos_joint_sums_t, filling);
 }
 
-static uint64_t checksum_of(const zygos_joint_sums_t *self)
+static uint64_t joints_checksum(const zygos_joint_sums_t *self)
 {
     return zygos_checksum_memory(0, (const unsigned char *)self + offsetof(zygos_joint_sums_t, filling), SEALED);
 }
 
 /* Verifies the checksum, and flips a bit back where that explains it. */
-static bool is_sealed(zygos_joint_sums_t *self)
+static bool are_joints_sealed(zygos_joint_sums_t *self)
 {
     const bool good =
-        (self->checksum == checksum_of(self)) || zygos_checksum_repair(sealed_of(self), SEALED, self->checksum);
-    self->checksum = good ? checksum_of(self) : self->checksum;
+        (self->checksum == joints_checksum(self)) || zygos_checksum_repair(sealed_of(self), SEALED, self->checksum);
+    self->checksum = good ? joints_checksum(self) : self->checksum;
     return good;
 }
 
@@ -46,7 +47,7 @@ bool zygos_joint_sums_suffice(const zygos_config_t *config)
     return rigid;
 }
 
-static uint32_t width_of(const zygos_config_t *config, const zygos_column_map_t *column_map)
+static uint32_t joint_row_width(const zygos_config_t *config, const zygos_column_map_t *column_map)
 {
     return (config->joint_row_cycles > 0) ? column_map->parameters + 1u : 0u;
 }
@@ -112,7 +113,7 @@ void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *con
 {
     const uint32_t n = config->joints;
     const uint32_t signals = zygos_joint_signals(config);
-    self->width = width_of(config, column_map);
+    self->width = joint_row_width(config, column_map);
     self->increments = increments_of(config);
     self->slice = slice_of(config, self->width, self->increments);
     self->share = share_of(config, self->width);
@@ -147,26 +148,21 @@ void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *con
     }
 }
 
-static bool is_count(double count)
-{
-    return (count >= 0.0) && (count <= ZYGOS_MAX_INSTANTS);
-}
-
 bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config,
                              const zygos_column_map_t *column_map)
 {
-    const uint32_t width = width_of(config, column_map);
+    const uint32_t width = joint_row_width(config, column_map);
     const uint32_t increments = increments_of(config);
     bool good = (self->width == width) && (width <= (uint32_t)ZYGOS_MAX_JOINT_ROW) &&
                 (self->increments == increments) && (self->slice == slice_of(config, width, increments)) &&
                 (self->share == share_of(config, width)) && zygos_joint_sums_steady(self, config) &&
-                (self->filled <= increments) && is_count(self->joint_sums);
+                (self->filled <= increments) && zygos_is_count(self->joint_sums);
     for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
-        good = good && is_count(self->count[g]) && (self->fade[g] >= 0.0) && (self->fade[g] <= 1.0);
+        good = good && zygos_is_count(self->count[g]) && (self->fade[g] >= 0.0) && (self->fade[g] <= 1.0);
     }
     for (uint32_t s = 0; s < 2u; s++) {
         for (uint32_t j = 0; j < (uint32_t)ZYGOS_JOINT_PLACES; j++) {
-            good = good && is_count(self->segment[s].count[j]);
+            good = good && zygos_is_count(self->segment[s].count[j]);
         }
     }
     return good;
@@ -208,7 +204,7 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self)
         clear_gram(&self->group[g], self->width);
         self->fade[g] = 1.0;
     }
-    self->checksum = checksum_of(self);
+    self->checksum = joints_checksum(self);
 }
 
 /* Whether the segment that is added belongs to the estimate. */
@@ -243,7 +239,7 @@ typedef struct {
 } entries_t;
 
 /* Moves some entries of a segment to its group and to the total of the noise. What is there fades. */
-static void move(const zygos_joint_sums_t *self, entries_t from, uint32_t count)
+static void move_entries(const zygos_joint_sums_t *self, entries_t from, uint32_t count)
 {
     const double keep = self->keep;
     const double keep_group = self->keep_group;
@@ -266,19 +262,20 @@ static void add_entries(zygos_joint_sums_t *self, uint32_t most)
     const uint32_t left = entries - self->cursor;
     const uint32_t count = (most < left) ? most : left;
     const uint32_t at = self->cursor;
-    move(self,
-         (entries_t){ &segment->rows.gram[at], &segment->noise.gram[at], &group->gram[at], &self->noise.gram[at],
-                      &self->joints.gram[at] },
-         count);
+    move_entries(self,
+                 (entries_t){ &segment->rows.gram[at], &segment->noise.gram[at], &group->gram[at],
+                              &self->noise.gram[at], &self->joints.gram[at] },
+                 count);
     self->cursor += count;
     if (self->cursor == entries) {
-        move(self, (entries_t){ segment->rows.sum, segment->noise.sum, group->sum, self->noise.sum, self->joints.sum },
-             self->width);
+        move_entries(
+            self, (entries_t){ segment->rows.sum, segment->noise.sum, group->sum, self->noise.sum, self->joints.sum },
+            self->width);
         self->adding = JOINTS;
     }
 }
 
-static void advance(zygos_joint_sums_t *self, uint32_t joints, uint32_t entries)
+static void advance_entries(zygos_joint_sums_t *self, uint32_t joints, uint32_t entries)
 {
     if (self->adding == ENTRIES) {
         add_entries(self, entries);
@@ -289,7 +286,7 @@ static void advance(zygos_joint_sums_t *self, uint32_t joints, uint32_t entries)
 
 /* Whether the second half of a segment, in which each joint's sums have their turn, has as many cycles without a row as
    there are joints. */
-static bool has_time(const zygos_joint_sums_t *self, const zygos_config_t *config)
+static bool has_turns(const zygos_joint_sums_t *self, const zygos_config_t *config)
 {
     const uint32_t half = config->joint_row_cycles / 2u;
     return (self->increments >= 4u) && ((self->increments / 2u - 1u) * (half - config->joints) >= config->joints);
@@ -348,8 +345,8 @@ bool zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *confi
     const uint64_t one = (uint64_t)(accepted > 0.0);
     self->accepted += one;
     self->refused += 1u - one;
-    if (!row || (self->adding != JOINTS) || !has_time(self, config)) {
-        advance(self, config->joints, self->slice);
+    if (!row || (self->adding != JOINTS) || !has_turns(self, config)) {
+        advance_entries(self, config->joints, self->slice);
     }
     if (!row && (self->waiting > 0)) {
         add_waiting(self, config, self->share);
@@ -363,7 +360,7 @@ static void end_segment(zygos_joint_sums_t *self, const zygos_config_t *config, 
 {
     const zygos_joint_segment_t *segment = &self->segment[self->filling];
     const double share = zygos_kept_share(config, *forgetting);
-    self->corrupt |= is_sealed(self) ? 0u : 1u;
+    self->corrupt |= are_joints_sealed(self) ? 0u : 1u;
     self->target = target;
     self->segments += is_admitted(self) ? 1u : 0u;
     self->filling = 1u - self->filling;
@@ -384,7 +381,7 @@ static void end_segment(zygos_joint_sums_t *self, const zygos_config_t *config, 
         self->count[target] += segment->count[j];
         self->joint_sums += (is_admitted(self) && (segment->count[j] > 0.0)) ? 1.0 : 0.0;
     }
-    self->checksum = checksum_of(self);
+    self->checksum = joints_checksum(self);
     *forgetting = 1.0;
 }
 
@@ -403,7 +400,7 @@ void zygos_joint_sums_set_aside(zygos_joint_sums_t *self, const zygos_config_t *
 }
 
 /* A row, or its noise, waits behind those before it. The place beside it is empty until the next one comes. */
-static void put(zygos_joint_wait_t *wait, uint32_t k, const double *z, uint32_t width)
+static void queue_row(zygos_joint_wait_t *wait, uint32_t k, const double *z, uint32_t width)
 {
     const uint32_t side = k % 2u;
     double(*pair)[2] = wait->pair[k / 2u];
@@ -433,7 +430,7 @@ static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, co
     }
     zygos_reduce(config, column_map, columns, z);
     z[self->width - 1u] = 0.0;
-    put(&self->wait[1], self->waiting, z, self->width);
+    queue_row(&self->wait[1], self->waiting, z, self->width);
     for (uint32_t i = row->joint + 1u; i < config->joints; i++) {
         if (config->joint[i].rigid == 0) {
             const uint32_t known = column_map->place[column_map->joint[i]];
@@ -461,7 +458,7 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
     }
     zygos_reduce(config, column_map, columns, z);
     z[self->width - 1u] = weight * row->impulse;
-    put(&self->wait[0], self->waiting, z, self->width);
+    queue_row(&self->wait[0], self->waiting, z, self->width);
     for (uint32_t k = 0; k < self->width; k++) {
         segment->joint[row->joint][k] += z[k];
     }
@@ -498,7 +495,7 @@ void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *conf
     const uint32_t entries = zygos_gram_entries(self->width);
     add_all_waiting(self, config);
     for (uint32_t step = 0; (step <= config->joints) && (self->adding != IDLE); step++) {
-        advance(self, config->joints, entries);
+        advance_entries(self, config->joints, entries);
     }
 }
 
@@ -528,7 +525,7 @@ static bool are_others_whole(const zygos_joint_sums_t *self, uint32_t end)
 
 bool zygos_joint_sums_is_whole(const zygos_joint_sums_t *self)
 {
-    bool good = (self->corrupt == 0) && ((self->width == 0) || (self->checksum == checksum_of(self)));
+    bool good = (self->corrupt == 0) && ((self->width == 0) || (self->checksum == joints_checksum(self)));
     for (uint32_t g = 0; good && (g <= (uint32_t)ZYGOS_SET_ASIDE); g++) {
         good = matches(self, &self->group[g], self->count[g]);
     }
@@ -550,7 +547,7 @@ bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *conf
         zygos_joint_sums_clear(self); /* its places are used where other sums are dropped */
         return true;
     }
-    if (!is_sealed(self) || (self->corrupt == 1u) || !zygos_joint_sums_intact(self, config, column_map)) {
+    if (!are_joints_sealed(self) || (self->corrupt == 1u) || !zygos_joint_sums_intact(self, config, column_map)) {
         return false;
     }
     self->corrupt = 0;
@@ -573,6 +570,6 @@ bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *conf
             self->count[g] = 0.0;
         }
     }
-    self->checksum = checksum_of(self);
+    self->checksum = joints_checksum(self);
     return good;
 }

@@ -4,7 +4,7 @@
 
 #include <string.h>
 
-static uint32_t columns_of(const zygos_config_t *config)
+static uint32_t columns_of_momentum(const zygos_config_t *config)
 {
     return (config->momentum_arc_cycles > 0) ? zygos_kinetic_parameters(config) + config->joints : 0u;
 }
@@ -23,7 +23,7 @@ static uint32_t signals_of(const zygos_config_t *config)
 void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_t *config,
                                 const zygos_smoother_t *smoother)
 {
-    self->columns = columns_of(config);
+    self->columns = columns_of_momentum(config);
     self->components = components_of(config);
     self->signals = signals_of(config);
     memset(self->deviation, 0, sizeof self->deviation);
@@ -39,7 +39,7 @@ void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_
 
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
-    return (self->columns == columns_of(config)) && (self->components == components_of(config)) &&
+    return (self->columns == columns_of_momentum(config)) && (self->components == components_of(config)) &&
            (self->signals == signals_of(config)) &&
            (self->columns + self->components <= (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) &&
            zygos_store_intact(&self->store, (uint32_t)ZYGOS_MOMENTUM_ROWS, config->momentum_arc_cycles > 0);

@@ -3,6 +3,7 @@
 #include "zygos/priv/accumulator.h"
 #include "zygos/priv/momentumsums.h"
 #include "zygos/priv/motorsums.h"
+#include "zygos/priv/numbers.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -257,14 +258,14 @@ static matrix_t noise_of(zygos_store_t *self, uint32_t kind, uint32_t which)
 #define SEALED ((uint32_t)offsetof(zygos_store_t, checksum))
 _Static_assert(SEALED % 8u == 0, "whole words");
 
-static uint64_t checksum_of(const zygos_store_t *self)
+static uint64_t store_checksum(const zygos_store_t *self)
 {
     return zygos_checksum_memory(0, self, SEALED);
 }
 
 static void reseal(zygos_store_t *self)
 {
-    self->checksum = checksum_of(self);
+    self->checksum = store_checksum(self);
     self->twin = zygos_store_twin(self);
 }
 
@@ -337,7 +338,7 @@ static void forget_places(zygos_store_t *self, uint32_t kind)
 /* Verifies the checksum, before anything that it protects is changed. What cannot be repaired must not lead outside. */
 static void verify_seal(zygos_store_t *self, uint32_t kind)
 {
-    if ((self->checksum == checksum_of(self)) || repair(self)) {
+    if ((self->checksum == store_checksum(self)) || repair(self)) {
         return;
     }
     self->corrupt = 1;
@@ -359,13 +360,13 @@ static uint64_t checksum_of_block(zygos_store_t *self, uint32_t kind, uint32_t p
 }
 
 /* Of a block of closed arcs. */
-static bool is_sealed(zygos_store_t *self, uint32_t kind, uint32_t place)
+static bool is_block_sealed(zygos_store_t *self, uint32_t kind, uint32_t place)
 {
     return head_of(self, kind, place)->checksum == checksum_of_block(self, kind, place);
 }
 
 /* Of a block of closed arcs that has changed; what was wrong before remains wrong. */
-static void seal(zygos_store_t *self, uint32_t kind, uint32_t place, bool whole)
+static void seal_block(zygos_store_t *self, uint32_t kind, uint32_t place, bool whole)
 {
     const uint64_t checksum = checksum_of_block(self, kind, place);
     head_of(self, kind, place)->checksum = whole ? checksum : ~checksum;
@@ -585,7 +586,7 @@ static void merge(zygos_store_t *self, uint32_t kind)
         }
     }
     const bool closed = (head->checksum != 0);
-    const bool whole = closed && is_sealed(self, kind, to) && is_sealed(self, kind, from);
+    const bool whole = closed && is_block_sealed(self, kind, to) && is_block_sealed(self, kind, from);
     if (has_parts(self, kind)) {
         for (uint32_t k = last; k < zygos_gram_entries(target.width); k++) {
             target.gram[k] = own * target.gram[k] + other * source.gram[k];
@@ -610,7 +611,7 @@ static void merge(zygos_store_t *self, uint32_t kind)
     head->fade = 1.0;
     head->end = other_head->end;
     if (closed) {
-        seal(self, kind, to, whole);
+        seal_block(self, kind, to, whole);
     }
     verify_seal(self, kind);
     const uint32_t rank = rank_of(self, from, 0, self->count);
@@ -710,7 +711,7 @@ static bool begin_merge(zygos_store_t *self, uint32_t kind)
     const double target = self->target;
     const uint32_t rank = pair_to_merge(self, kind);
     if (self->target > target) {
-        self->checksum = checksum_of(self);
+        self->checksum = store_checksum(self);
         return true;
     }
     if (rank < self->count) {
@@ -951,7 +952,7 @@ static void eliminate(zygos_store_t *self, uint32_t kind)
     }
     head_of(self, kind, place)->end = self->closing_end;
     head_of(self, kind, place)->fade = 1.0;
-    seal(self, kind, place, true);
+    seal_block(self, kind, place, true);
     begin_task(self, kind, ZYGOS_TASK_JUDGE, self->pair);
 }
 
@@ -1179,7 +1180,7 @@ void zygos_store_clear(zygos_store_t *self, uint32_t kind, double target)
     if (is_buffered(kind)) {
         reseal(self);
     } else {
-        self->checksum = checksum_of(self);
+        self->checksum = store_checksum(self);
         zygos_store_open_block(self, kind);
     }
 }
@@ -1274,10 +1275,10 @@ void zygos_store_forget(zygos_store_t *self, uint32_t kind, double factor)
     verify_seal(self, kind);
     for (uint32_t r = 0; r < self->closed; r++) {
         const uint32_t place = zygos_store_place(self, kind, r);
-        const bool whole = is_sealed(self, kind, place);
+        const bool whole = is_block_sealed(self, kind, place);
         const double instants = factor * zygos_store_instants_of(self, kind, r);
         head_of(self, kind, place)->fade *= (instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
-        seal(self, kind, place, whole);
+        seal_block(self, kind, place, whole);
         left += (instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? instants : 0.0;
     }
     fade_noise(self, kind, (left > 0.0) ? factor : 0.0);
@@ -1304,7 +1305,7 @@ void zygos_store_apply_fade(zygos_store_t *self, uint32_t kind)
         if (head->fade >= 1.0) {
             continue;
         }
-        const bool whole = is_sealed(self, kind, place);
+        const bool whole = is_block_sealed(self, kind, place);
         for (uint32_t part = 0; part < layout_of(kind)->parts; part++) {
             fade_matrix(matrix_of(self, kind, place, part), kind, head->fade);
         }
@@ -1313,7 +1314,7 @@ void zygos_store_apply_fade(zygos_store_t *self, uint32_t kind)
         }
         head->total *= head->fade;
         head->fade = 1.0;
-        seal(self, kind, place, whole);
+        seal_block(self, kind, place, whole);
     }
     if (has_noise(kind) && (self->noise_fade < 1.0)) {
         fade_matrix(noise_of(self, kind, CLOSED), kind, self->noise_fade);
@@ -1327,14 +1328,14 @@ static void end_overlap(zygos_store_t *self, uint32_t kind, uint32_t rank)
 {
     const uint32_t place = zygos_store_place(self, kind, rank);
     if (layout_of(kind)->overlaps != 0) {
-        const bool whole = is_sealed(self, kind, place);
+        const bool whole = is_block_sealed(self, kind, place);
         overlapping(self, place)->overlap = 0.0;
-        seal(self, kind, place, whole);
+        seal_block(self, kind, place, whole);
     }
 }
 
 /* Takes the share of dropped blocks off the noise of closed arcs, and counts the instants that are left. */
-static void reduce(zygos_store_t *self, uint32_t kind, double before)
+static void reduce_noise(zygos_store_t *self, uint32_t kind, double before)
 {
     const double kept = zygos_store_instants(self, kind);
     if (kept < before) {
@@ -1374,7 +1375,7 @@ void zygos_store_drop_after(zygos_store_t *self, uint32_t kind, uint64_t cycle)
             end_overlap(self, kind, kept - 1u);
         }
     }
-    reduce(self, kind, before);
+    reduce_noise(self, kind, before);
 }
 
 uint32_t zygos_store_drop_until(zygos_store_t *self, uint32_t kind, uint64_t cycle)
@@ -1389,16 +1390,11 @@ uint32_t zygos_store_drop_until(zygos_store_t *self, uint32_t kind, uint64_t cyc
     }
     free_ranks(self, 0, drop);
     self->arcs -= (dropped < self->arcs) ? dropped : self->arcs;
-    reduce(self, kind, before);
+    reduce_noise(self, kind, before);
     return dropped;
 }
 
 /* ---------------------------------------------------------------- memory that was changed */
-
-static bool is_count(double instants)
-{
-    return (instants >= 0.0) && (instants <= ZYGOS_MAX_INSTANTS);
-}
 
 static bool is_factor(double fade)
 {
@@ -1414,10 +1410,10 @@ bool zygos_store_intact(const zygos_store_t *self, uint32_t kind, bool used)
                       (!closing || ((self->rank >= self->closed) && (self->rank <= self->fresh)));
     const bool unused = (self->closed == 0) && (self->task == ZYGOS_TASK_NONE) && (self->arc_instants == 0);
     bool good = zygos_store_steady(self) && are_places_possible(self, kind) && task && is_factor(self->noise_fade) &&
-                (self->noise_fade > 0.0) && is_count(self->target) && (used ? (self->target >= 1.0) : unused);
+                (self->noise_fade > 0.0) && zygos_is_count(self->target) && (used ? (self->target >= 1.0) : unused);
     for (uint32_t r = 0; good && (r < self->count); r++) {
         const zygos_block_head_t *head = zygos_store_head(self, kind, r);
-        good = is_count(head->total) && is_factor(fade_of(head));
+        good = zygos_is_count(head->total) && is_factor(fade_of(head));
     }
     return good;
 }
@@ -1450,7 +1446,7 @@ static bool is_closed_whole(zygos_store_t *self, uint32_t kind, uint32_t rank)
 {
     const uint32_t place = zygos_store_place(self, kind, rank);
     const zygos_block_head_t *head = head_of(self, kind, place);
-    return is_sealed(self, kind, place) && is_count(head->total) && is_factor(head->fade) &&
+    return is_block_sealed(self, kind, place) && zygos_is_count(head->total) && is_factor(head->fade) &&
            (worst_of(self, kind, place) <= 1.0);
 }
 
@@ -1461,7 +1457,7 @@ static bool is_open_whole(zygos_store_t *self, uint32_t kind)
                  is_noise_whole(self, kind, 0u) && is_noise_whole(self, kind, 1u);
     for (uint32_t r = self->fresh; whole && (r < self->count); r++) {
         const zygos_block_head_t *head = zygos_store_head(self, kind, r);
-        whole = (head->checksum == 0) && is_count(head->total) &&
+        whole = (head->checksum == 0) && zygos_is_count(head->total) &&
                 (worst_of(self, kind, zygos_store_place(self, kind, r)) <= 1.0);
     }
     return whole;
@@ -1470,8 +1466,8 @@ static bool is_open_whole(zygos_store_t *self, uint32_t kind)
 bool zygos_store_is_whole(const zygos_store_t *self, uint32_t kind)
 {
     zygos_store_t *all = readable(self);
-    bool whole = (self->corrupt == 0) && (self->checksum == checksum_of(self)) && is_noise_whole(all, kind, CLOSED) &&
-                 is_open_whole(all, kind);
+    bool whole = (self->corrupt == 0) && (self->checksum == store_checksum(self)) &&
+                 is_noise_whole(all, kind, CLOSED) && is_open_whole(all, kind);
     for (uint32_t r = 0; whole && (r < self->closed); r++) {
         whole = is_closed_whole(all, kind, r);
     }
@@ -1488,7 +1484,7 @@ static void quarantine(zygos_store_t *self, uint32_t kind)
     for (uint32_t r = 0; r < self->closed;) {
         const double instants = zygos_store_instants_of(self, kind, r);
         const bool kept = is_closed_whole(self, kind, r);
-        before += is_count(instants) ? instants : 0.0;
+        before += zygos_is_count(instants) ? instants : 0.0;
         after += kept ? instants : 0.0;
         if (!kept && previous) {
             end_overlap(self, kind, r - 1u);
@@ -1509,7 +1505,7 @@ static void quarantine(zygos_store_t *self, uint32_t kind)
 /* Whether what all blocks have in common can be trusted, after a repair where one is possible. */
 static bool is_common_whole(zygos_store_t *self, uint32_t kind)
 {
-    return ((self->checksum == checksum_of(self)) || repair(self)) && (self->corrupt != 1u) &&
+    return ((self->checksum == store_checksum(self)) || repair(self)) && (self->corrupt != 1u) &&
            are_places_possible(self, kind) && (self->target >= 1.0) && is_factor(self->noise_fade) &&
            (self->noise_fade > 0.0) && is_noise_whole(self, kind, CLOSED);
 }
@@ -1528,7 +1524,7 @@ bool zygos_store_scrub(zygos_store_t *self, uint32_t kind)
     if (moved || !is_open_whole(self, kind)) {
         self->quarantined++;
         self->ready = 0; /* what is in free blocks is not known */
-        self->checksum = checksum_of(self);
+        self->checksum = store_checksum(self);
         if (is_buffered(kind)) {
             zygos_accumulator_forget_rows(energy_of(self));
         }

@@ -201,7 +201,7 @@ extern "C" {
 #define ZYGOS_MAX_ROW_PAIRS ((ZYGOS_MAX_ROW + 1) / 2)
 #define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
 
-/// A symbol whose name carries the capacities. The library defines it (c/loop/capacities.c) and every object that includes
+/// A symbol whose name carries the capacities. The library defines it (capacities.c) and every object that includes
 /// this header refers to it, so that objects of other capacities than the library's do not link; the message of the
 /// linker has the capacities of the object, and `nm libzygos.a` those of the library. Usual: the default that follows
 /// from the other capacities. A capacity that is given must be a decimal number. An object that is made for a linker

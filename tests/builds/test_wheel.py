@@ -112,7 +112,8 @@ def program(python: Path) -> Path:
 def test_a_source_distribution_holds_what_building_needs_and_nothing_built(archive: Path) -> None:
     with tarfile.open(archive) as files:
         names = {name.partition("/")[2] for name in files.getnames()}
-    for wanted in ("pyproject.toml", "setup.py", "MANIFEST.in", "LICENSE", "README.md", "c/flags.txt", "c/loop/zygos.c"):
+    sources = ("c/flags.txt", "c/loop/zygos.c")
+    for wanted in ("pyproject.toml", "setup.py", "MANIFEST.in", "LICENSE", "README.md", *sources):
         assert wanted in names
     assert {"include/zygos/zygos.h", "tools/build_native.py", "examples/gap/demo/a.blf"} <= names
     ours = {str(path.relative_to(ROOT)) for path in (ROOT / "harness").rglob("*.py") if "_native" not in path.parts}

@@ -13,7 +13,7 @@ class Calls:
         self.frame: dict[str, int] = {}
         self.bounded: dict[str, bool] = {}
         self.calls: dict[str, set[str]] = {}
-        for graph in sorted(folder.glob("*.ci")):
+        for graph in sorted(folder.rglob("*.ci")):
             text = graph.read_text()
             for title, label in re.findall(r'node: \{ title: "([^"]*)" label: "([^"]*)"', text):
                 size = re.search(r"(\d+) bytes \(([^)]*)\)", label)
