@@ -37,11 +37,9 @@ class Runs:
     "runs",
     [
         Runs("paper", 6, 1),
-        Runs("lively", 6, 1),
-        Runs("spatial", 1, 4),
-        Runs("seven", 1, 2),
-        Runs("paper", 1, 1, 1800.0),
-        Runs("lively", 1, 1, 1800.0),
+        Runs("spatial", 1, 2),
+        Runs("seven", 1, 1),
+        Runs("lively", 1, 1, 900.0),
     ],
     ids=lambda runs: f"{runs.example}-{runs.duration_s:g}",
 )
