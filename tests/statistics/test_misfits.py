@@ -31,7 +31,7 @@ HIDDEN = (
 )
 """Coulomb friction of 1 % of the typical torque, springs that are 10 % stiffer at the largest deflection, and backlash
 of 0.02 rad to each side."""
-SEEDS = 20
+SEEDS = 12
 
 
 @pytest.mark.parametrize("sigma", [0.0, TORQUE_GAIN_SIGMA])
@@ -40,12 +40,13 @@ def test_half_of_the_wrong_values_are_doubted(sigma: float) -> None:
     wrong, caught, worst = 0, 0, 0.0
     for example in ("paper", "lively"):
         folder = ROOT / "examples" / example
-        known = with_gain_sigma(load_arm(folder / "arm.toml"), sigma)
+        arm = load_arm(folder / "arm.toml")
+        known = with_gain_sigma(arm, sigma)
         model, scenario = load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
         true = model.base_values(known)
         for key, joint, value, shape in HIDDEN:
             plant = replace(model, effects=(effect(key, known.joints[joint].name, value, shape=shape),))
-            motion = trajectory_of(known, plant, scenario, seeds=range(SEEDS), noise=True)
+            motion = replace(trajectory_of(arm, plant, scenario, seeds=range(SEEDS), noise=True), arm=known)
             for seed in range(SEEDS):
                 flight = Flight(known)
                 flight.frames(encode(known, record(motion, seed)))
@@ -59,7 +60,7 @@ def test_half_of_the_wrong_values_are_doubted(sigma: float) -> None:
                     worst = max(worst, float((off / np.abs(true))[far].max()))
     others = f"the worst value of the others is {100.0 * worst:.1f} % off"
     print(f"declared gains {sigma}: {caught} of {wrong} doubted, {others}")
-    assert wrong >= 40
+    assert wrong >= 24
     assert caught >= 0.45 * wrong
 
 
