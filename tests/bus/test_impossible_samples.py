@@ -272,6 +272,19 @@ def test_noise_that_a_unit_or_the_gear_explains_is_that_of_the_map(
     assert not any(line.startswith("elbow.motor: conversion") for line in report["warnings"])
 
 
+def test_noise_of_an_angle_that_stands_still_and_jumps_is_no_unit(folder: Path, tmp_path: Path) -> None:
+    """Samples that a recorder repeats for 0.1 s; what is left of the jumps looks as noisy as any factor."""
+    columns = sines()
+    for name in ("q1", "q2", "tau1", "tau2"):
+        for start in range(1000, 10_000, 1500):
+            columns[name][start : start + 50] = columns[name][start]
+    write_columns(tmp_path / "x.npz", columns)
+    code, report = convert(folder, tmp_path / "x.npz", CASES / "m.toml")
+    said = [line for line in report["warnings"] if "motor: conversion makes" in line]
+    assert code in (0, 3) and len(said) == 2 and any("jumps in " in line for line in report["warnings"])
+    assert all("it jumps, as said above; remedy: cut the recording" in line for line in said)
+
+
 def test_counts_are_no_radians(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     columns = sines()
     write_columns(tmp_path / "x.npz", columns | {"q2": np.round(columns["q2"] * 65536 / (2 * np.pi))})

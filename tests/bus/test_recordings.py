@@ -108,6 +108,15 @@ def test_names_of_compressed_files(brief: Log, arm: Arm, tmp_path: Path) -> None
             bus.read_log(path)
 
 
+def test_a_bag_of_ros_is_named_with_the_command_that_converts_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("r.db3", "r.bag"):
+        (tmp_path / name).write_bytes(b"SQLite format 3\0")
+        assert run("convert", tmp_path / name, "--map", CASES / "m.toml", "--arm", ARM, "-o", tmp_path / "r.npz") == 2
+        assert f"remedy: `mcap convert {name} NEW.mcap`" in capsys.readouterr().err.replace("\n", " ")
+
+
 def test_copies_are_removed(brief: Log, arm: Arm, tmp_path: Path) -> None:
     path = tmp_path / "run.log.gz"
     bus.write_log(tmp_path / "run.log", brief, arm.period_s)

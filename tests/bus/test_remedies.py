@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomlkit
+import typer
 from arm_support import exact_torques
 from audit_support import (
     Fault,
@@ -45,6 +46,7 @@ from zygos.audit.traffic import traffic_of
 from zygos.audit.units import FACTORS
 from zygos.can.run import Run, load_run
 from zygos.cli import COMMANDS, load
+from zygos.cli.options import _usage
 from zygos.estimation import remedies as of_estimates
 from zygos.files.tables import write_columns
 from zygos.ground import estimate as of_ground
@@ -178,6 +180,9 @@ CASES = [
     Case("unit", both(*(scaled(k, i, DEGREES) for k in ("q", "theta") for i in (0, 1))), "in deg, not in rad",
          mapped=True),
     Case("unit", both(*(scaled("omega", i, DEGREES) for i in range(3))), "in deg/s, not in rad/s", mapped=True),
+    Case("unit", both(*(scaled(k, i, DEGREES) for k, n in (("q", 2), ("theta", 2), ("omega", 3)) for i in range(n))),
+         "in deg", mapped=True),
+    Case("unit", scaled("q", 0, 1 / 0.003), "in counts, not in rad", mapped=True),
     Case("unit", scaled("tau", 0, 1e3), "in mNm, not in Nm", mapped=True),
     Case("scaled", scaled("theta", 1, 50.0), "scaled by 50", mapped=True),
     Case("wraps", wrapped("q", 1, -np.pi + 0.3), "wraps", mapped=True),
@@ -374,15 +379,50 @@ def texts_of(module: Any) -> str:
     )
 
 
-@pytest.mark.parametrize("module", [of_estimates, of_ground, remedies], ids=lambda module: module.__name__)
-def test_commands_and_options_that_messages_name_exist(module: Any) -> None:
-    said = texts_of(module)
-    commands = re.findall(r"`zygos ([a-z-]+)", said)
-    assert all(command in COMMANDS for command in commands)
-    if module is not remedies:
-        assert commands
-        known = {option for command in ("estimate", "explain") for one in load(command).params for option in one.opts}
-        assert {option for option in re.findall(r"(?<![\w`-])--[a-z]+", said)} <= known
+MODULES = sorted((ROOT / "harness" / "zygos").rglob("*.py"))
+
+
+def options_of(command: str, *, required: bool = False) -> set[str]:
+    """The options of a command, or those without which it does nothing."""
+    params = [one for one in load(command).params if one.param_type_name == "option"]
+    return {option for one in params if one.required or not required for option in one.opts} - {"--help"}
+
+
+def test_commands_and_options_that_messages_name_exist() -> None:
+    """Of all messages. A command with the files that it takes names the options without which it is refused, too."""
+    commands = set[str]()
+    for path in MODULES:
+        text = path.read_text()
+        if path.parent.name != "cli" and "`zygos " not in text:
+            continue
+        tree = ast.parse(text)
+        docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            if id(node) in docs or not isinstance(node, ast.JoinedStr | ast.Constant):
+                continue
+            parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+            said = "".join(str(one.value) if isinstance(one, ast.Constant) else "X" for one in parts)
+            for command, rest in re.findall(r"`zygos ([a-z-]+)([^`]*)`", said):
+                commands.add(command)
+                assert command in COMMANDS, (path, said)
+                options = set(re.findall(r"(?<=\s)--?[a-z][a-z-]*", rest))
+                assert options <= options_of(command), (path, said)
+                wanted = options_of(command, required=True)
+                assert not re.search(r" [A-Z]", rest) or not wanted or options & wanted, (path, said)
+            if path.parent.name == "cli" and "remedy: " in said and (own := path.stem.replace("_", "-")) in COMMANDS:
+                named = {own, *re.findall(r"`zygos ([a-z-]+)", said)} & set(COMMANDS)
+                options = set(re.findall(r"(?<=[\s(])--[a-z][a-z-]*", said.split("remedy: ", 1)[1]))
+                assert options <= set().union(*map(options_of, named)), (path, said)
+    assert {"check-arm", "convert", "estimate", "explain", "fit", "plan", "predict", "refine"} <= commands
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if "--arm" in options_of(name)])
+def test_the_usage_of_a_command_is_complete(command: str) -> None:
+    """What is said where files are swapped names each option without which the command is refused."""
+    found = load(command)
+    said = _usage(typer.Context(found, info_name=command))
+    for one in found.params:
+        assert not one.required or any(option in said for option in one.opts) or str(one.metavar) in said
 
 
 KEYS = re.compile(r"\b(counts|quantum_rad|rate_sigma|torque_gain_sigma|gear_ratio|cutoff_hz|points|memory_min|max_s|"

@@ -169,10 +169,16 @@ def exchanged(arm: Arm, i: int) -> Remedy:
     )
 
 
-def unit(arm: Arm, kind: Kind, i: int, name: str) -> Remedy:
-    """Of a reading in another unit than that of the run."""
+def unit(arm: Arm, kind: Kind, i: int, name: str, factor: float) -> Remedy:
+    """Of a reading in another unit than that of the run; factor: SI units per unit."""
     setting = _in_map(arm, kind, i, "unit", name)
-    return Remedy(_of_map(setting), (setting,))
+    if name != "counts":
+        return Remedy(_of_map(setting), (setting,))
+    encoder = _encoder(arm, kind, i)[1]
+    declared = encoder.counts is not None and abs(factor / encoder.quantum_rad - 1.0) < 1e-9
+    turn = encoder.counts if declared and encoder.counts is not None else float(f"{2.0 * math.pi / factor:.6g}")
+    counts = _in_map(arm, kind, i, "counts_per_turn", turn)
+    return Remedy(f"{setting} and {_of_map(counts)}", (setting, counts))
 
 
 def scaled(arm: Arm, kind: Kind, i: int, factor: float) -> Remedy:

@@ -95,7 +95,7 @@ def find_scale(case: Case, kind: Kind, i: int, scale: Scale, evidence: str) -> N
         name,
         f"in {scale.unit}, not in {own} (a factor of {max(scale.factor, 1.0 / scale.factor):.4g})",
         evidence,
-        remedies.unit(case.arm, kind, i, scale.unit),
+        remedies.unit(case.arm, kind, i, scale.unit, scale.factor),
     )
 
 
@@ -175,18 +175,16 @@ def check_impossible(case: Case) -> None:
 
 
 def check_units(case: Case) -> None:
-    """Report angles whose steps are the declared ones in another unit, and go on with the run in radians."""
+    """Report angles whose steps or noise are the declared ones in another unit, and go on with the run in radians."""
     ranges = stretches(case.cycles)
-    for _, kind, i in case.names:
-        if kind not in ("q", "theta"):
-            continue
+    angles: list[tuple[Kind, int]] = [(kind, i) for _, kind, i in case.names if kind in ("q", "theta")]
+    for kind, i in angles:
         quantum = case.encoder(kind, i).quantum_rad
         readings = case.readings(kind, i)
         largest = max((float(np.abs(readings[a:b]).max()) for a, b in ranges), default=0.0)
         if largest > LARGEST_ANGLE_RAD:
             evidence = f"readings up to {largest:.4g}, which are no angles in rad"
-            find_scale(case, kind, i, Scale(quantum, "counts"), evidence)
-            case.correct(rescaled(case.cycles, kind, [i], quantum))
+            _correct_unit(case, kind, i, Scale(quantum, "counts"), evidence)
             continue
         step = grid_step(readings, ranges, 0.0)
         if not math.isfinite(step) or abs(step / quantum - 1.0) <= limits.STEP_OFF.value:
@@ -195,5 +193,33 @@ def check_units(case: Case) -> None:
         scale = nearest(known, quantum / step)
         if scale is not None:
             evidence = f"moves in steps of {step:.4g}, which are the declared {quantum:.4g} rad in {scale.unit}"
-            find_scale(case, kind, i, scale, evidence)
-            case.correct(rescaled(case.cycles, kind, [i], scale.factor))
+            _correct_unit(case, kind, i, scale, evidence)
+    _check_noises(case, angles)
+
+
+def _correct_unit(case: Case, kind: Kind, i: int, scale: Scale, evidence: str) -> None:
+    find_scale(case, kind, i, scale, evidence)
+    case.correct(rescaled(case.cycles, kind, [i], scale.factor))
+
+
+def _check_noises(case: Case, angles: list[tuple[Kind, int]]) -> None:
+    """Angles that are all noisier than declared by the factor of a unit are in that unit, and with them the gyro."""
+    if len(angles) < 2 or case.findings:
+        return
+    rates: list[tuple[Kind, int]] = [(kind, i) for _, kind, i in case.names if kind == "omega"]
+    for unit, factor in FACTORS["angle"].items():
+        if factor < 1.0 and _noisier(case, angles, 1.0 / factor):
+            found = [(one, unit) for one in angles]
+            found += [(one, f"{unit}/s") for one in rates if _noisier(case, rates, 1.0 / factor)]
+            for (kind, i), own in found:
+                ratio = case.noise(kind, i) / case.declared_noise(kind, i)
+                evidence = f"the noise of all of them is that of a unit, here {ratio:.3g} times the declared one"
+                _correct_unit(case, kind, i, Scale(factor, own), evidence)
+            return
+
+
+def _noisier(case: Case, names: list[tuple[Kind, int]], factor: float) -> bool:
+    """Whether all signals are noisier than declared by about a factor; motion makes the noise of some seem larger."""
+    ratios = [case.noise(kind, i) / case.declared_noise(kind, i) for kind, i in names]
+    least, middle = min(ratios, default=0.0), float(np.median(ratios or [0.0]))
+    return factor / limits.AUDIT_SURE.value < least and middle < factor * limits.AUDIT_SURE.value

@@ -87,6 +87,8 @@ def _check_suffix(path: Path, suffix: str) -> None:
             f"{path}: python-can loses frames when it writes a .db; remedy: record, or send the frames with "
             "`can_player`, into a .blf"
         )
+    if suffix in (".db3", ".bag"):
+        raise ZygosError(f"{path}: a bag of ROS is read as MCAP; remedy: `mcap convert {path.name} NEW.mcap`")
     if suffix not in LOG_SUFFIXES:
         raise ZygosError(f"{path}: not a known kind of CAN log; remedy: use one of {' '.join(LOG_SUFFIXES)}")
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:

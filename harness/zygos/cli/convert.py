@@ -104,7 +104,7 @@ def convert_run(
     rows = signal_rows(samples, mended, found, cycles, described, noise)
     cutoff = arm.smoother.cutoff_hz
     fitting = fitting_cutoff_hz(cycles, described) if cutoff is None else None
-    warnings = [*mended.warnings, *noise_warnings(arm, found, noise)]
+    warnings = [*mended.warnings, *noise_warnings(arm, found, noise, mended.jumping)]
     warnings += warnings_of(arm, cycles, described, recording, found, out, refused)
     content: dict[str, Any] = {
         "input": str(source),

@@ -37,6 +37,11 @@ def _usage(context: typer.Context) -> str:
     names = [str(one.metavar) for one in params if one.param_type_name == "argument"]
     names += ["--map MAP.toml"] if any("--map" in one.opts for one in params) else []
     names += [] if "ARM.toml" in names else ["--arm ARM.toml"]
+    names += [
+        f"{min(one.opts, key=len)} {str(one.metavar).partition('|')[0]}"
+        for one in params
+        if one.param_type_name == "option" and one.required and one.opts[0] != "--map"
+    ]
     return f"`zygos {' '.join([str(context.info_name), *names])}`"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -109,16 +109,22 @@ def check_noise(arm: Arm, found: Sequence[Track], noise: Sequence[Noise]) -> Non
             )
 
 
-def noise_warnings(arm: Arm, found: Sequence[Track], noise: Sequence[Noise]) -> list[str]:
-    """Warnings of values whose noise on the grid is many times that of the sensor, with the cause. arm: as declared."""
+def noise_warnings(
+    arm: Arm, found: Sequence[Track], noise: Sequence[Noise], jumping: Collection[str] = ()
+) -> list[str]:
+    """Warnings of values whose noise on the grid is many times that of the sensor, with the cause. arm: as declared.
+    jumping: sources whose jumps are the cause."""
     warnings = []
     for track, change in zip(found, noise, strict=True):
         sigma = change.kept * declared_sigma(arm, track.channel)
         if sigma > 0.0 and change.added > limits.NOISE_ADDED.value * sigma:
-            unit = _unit_of_noise(track.channel, math.hypot(change.added, sigma) / sigma, arm)
+            if track.channel.source in jumping:
+                known = "it jumps, as said above; remedy: cut the recording between the jumps (--from, --to)"
+            else:
+                known = _unit_of_noise(track.channel, math.hypot(change.added, sigma) / sigma, arm)
             warnings.append(
                 f"{track.channel.label}: conversion makes the noise {change.added / sigma:.3g} times as large as that "
-                f"of the arm file: {unit or _cause(track, change, arm)}"
+                f"of the arm file: {known or _cause(track, change, arm)}"
             )
     return warnings
 

@@ -32,6 +32,8 @@ class Mended:
     left_out: dict[str, int]
     """By source: number of samples that were left out."""
     warnings: tuple[str, ...]
+    jumping: frozenset[str]
+    """Sources of angles that jump in places, of which a warning tells."""
 
 
 def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: dict[str, float]) -> Mended:
@@ -44,6 +46,7 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
     """
     out, times = dict(recording.sources), dict(times)
     warnings: list[str] = []
+    jumping = set[str]()
 
     def signal_of(channel: Channel) -> _Signal:
         return _Signal(channel, out[channel.source], times[channel.source], sigma[channel.source])
@@ -76,11 +79,13 @@ def mended(recording: Recording, times: dict[str, Floats], mapping: Map, sigma: 
     for channel in mapping.channels:
         signal = signal_of(channel)
         values, turns[channel.source] = signal.unwrapped()
+        if signal.jumps:
+            jumping.add(channel.source)
         warnings += signal.warnings
         out[channel.source] = replace(out[channel.source], value=values)
         if turns[channel.source] and signal.modulo is not None:
             warnings += _first_turn(channel, float(values[signal.finite[0]]), signal.modulo)
-    return Mended(replace(recording, sources=out), turns, left_out, tuple(warnings))
+    return Mended(replace(recording, sources=out), turns, left_out, tuple(warnings), frozenset(jumping))
 
 
 def _first_turn(channel: Channel, first: float, modulo: float) -> list[str]:
@@ -117,6 +122,7 @@ class _Signal:
         self.channel = channel
         self.samples = samples
         self.warnings: list[str] = []
+        self.jumps = False
         self.finite = np.flatnonzero(np.isfinite(samples.value))
         self.x = samples.value[self.finite]
         gaps = np.diff(times[self.finite])
@@ -263,6 +269,7 @@ class _Signal:
             f"{x[k + 1]:.6g}), which no motion does"
         )
         if not near.any() and np.all(np.abs(jumps[at]) < channel.turn):
+            self.jumps = True
             self.warnings.append(f"{said}: check whether the angle was set anew there, or stood still before")
             return
         alike = np.all(np.abs(np.abs(jumps[at]) - size) < limits.TURN_NEAR.value * size)
