@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "zygos/priv/fields.h"
+#include "zygos/priv/numbers.h"
 
 /* x^8 + x^5 + x^3 + x^2 + x + 1 (0x2F), most significant bit first. */
 const uint8_t zygos_wire_crc_table[256] = {
@@ -42,13 +43,6 @@ uint8_t zygos_wire_crc(const uint8_t *data, uint32_t length, uint32_t f, uint32_
 static uint32_t get32(const uint8_t *p)
 {
     return zygos_wire_u16(p) | (zygos_wire_u16(p + 2) << 16);
-}
-
-static void put_field(uint8_t *p, uint32_t value, uint32_t bytes)
-{
-    for (uint32_t i = 0; i < bytes; i++) {
-        p[i] = (uint8_t)(value >> (8u * i));
-    }
 }
 
 static int32_t clamp(int32_t value, int32_t low, int32_t high)
@@ -159,25 +153,25 @@ int zygos_wire_encode(const zygos_record_t *record, uint32_t message, uint32_t n
     d[1] = (uint8_t)((record->counter & 0x0Fu) | (uint32_t)(record->status << 4));
     switch (message) {
     case ZYGOS_MSG_TORQUE:
-        put_field(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
-        put_field(d + 5, record->latch_us, 2);
+        zygos_put(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
+        zygos_put(d + 5, record->latch_us, 2);
         d[7] = (uint8_t)record->temperature;
         break;
     case ZYGOS_MSG_RATE_Z:
-        put_field(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
+        zygos_put(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
         break;
     case ZYGOS_MSG_RATE_COARSE:
         for (uint32_t i = 0; i < 3; i++) {
-            put_field(d + 2 + 2 * i, (uint32_t)clamp(record->code[i], ZYGOS_CODE_I16_MIN, ZYGOS_CODE_I16_MAX), 2);
+            zygos_put(d + 2 + 2 * i, (uint32_t)clamp(record->code[i], ZYGOS_CODE_I16_MIN, ZYGOS_CODE_I16_MAX), 2);
         }
         break;
     case ZYGOS_MSG_FTIME:
         d[2] = record->sync;
-        put_field(d + 3, record->time_us, 4);
+        zygos_put(d + 3, record->time_us, 4);
         break;
     default:
-        put_field(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
-        put_field(d + 5, (uint32_t)clamp(record->code[1], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
+        zygos_put(d + 2, (uint32_t)clamp(record->code[0], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
+        zygos_put(d + 5, (uint32_t)clamp(record->code[1], ZYGOS_CODE_I24_MIN, ZYGOS_CODE_I24_MAX), 3);
         break;
     }
     d[0] = zygos_wire_crc(d, own.length, own.f, node);
@@ -214,7 +208,7 @@ void zygos_wire_encode_telemetry(uint8_t counter, uint8_t index, uint8_t kind, f
     out->data[3] = kind;
     uint32_t bits;
     memcpy(&bits, &value, sizeof bits);
-    put_field(out->data + 4, bits, 4);
+    zygos_put(out->data + 4, bits, 4);
     out->data[0] = zygos_wire_crc(out->data, 8, 3, ZYGOS_NODE_COMPUTER);
 }
 

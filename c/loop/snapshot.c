@@ -1,5 +1,7 @@
 #include "zygos/zygos.h"
 
+#include "zygos/priv/numbers.h"
+
 #include <stddef.h>
 #include <string.h>
 
@@ -22,13 +24,6 @@ static bool has_magic(const uint8_t *head)
 #define LAYOUT 12u
 #define LENGTH 16u
 #define CRC 20u
-
-static void put_word(uint8_t *out, uint32_t value, uint32_t bytes)
-{
-    for (uint32_t i = 0; i < bytes; i++) {
-        out[i] = (uint8_t)(value >> (8u * i));
-    }
-}
 
 static uint32_t get(const uint8_t *in, uint32_t bytes)
 {
@@ -87,12 +82,12 @@ int zygos_snapshot_seal(uint32_t kind, const void *image, uint8_t *head)
         return ZYGOS_E_KIND;
     }
     memcpy(head, magic, sizeof magic);
-    put_word(head + FORMAT, ZYGOS_SNAPSHOT_FORMAT, 2);
-    put_word(head + KIND, kind, 1);
+    zygos_put(head + FORMAT, ZYGOS_SNAPSHOT_FORMAT, 2);
+    zygos_put(head + KIND, kind, 1);
     head[BYTE_ORDER_OF_IMAGE] = byte_order();
-    put_word(head + LAYOUT, ZYGOS_ABI, 4);
-    put_word(head + LENGTH, size, 4);
-    put_word(head + CRC, snapshot_crc(head, (const uint8_t *)image, size), 4);
+    zygos_put(head + LAYOUT, ZYGOS_ABI, 4);
+    zygos_put(head + LENGTH, size, 4);
+    zygos_put(head + CRC, snapshot_crc(head, (const uint8_t *)image, size), 4);
     return 1;
 }
 

@@ -1,6 +1,7 @@
 #include "zygos/priv/joint.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -15,11 +16,6 @@ static const double beginning[3] = { 1.0, -4.0, 15.0 };
 static bool in_space(const zygos_config_t *config)
 {
     return (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
-}
-
-static double product(const double *a, const double *b)
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
 static uint32_t after(uint32_t half)
@@ -92,7 +88,7 @@ static double rotor_force(const zygos_config_t *config, const zygos_arm_state_t 
 /* The part of a_i that lies along a_j. */
 static double along(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t j, uint32_t i)
 {
-    return in_space(config) ? product(motion->axis[j], motion->axis[i]) : 1.0;
+    return in_space(config) ? zygos_dot3(motion->axis[j], motion->axis[i]) : 1.0;
 }
 
 /* What an effect integrates in the row of its joint. Only the configuration chooses. */
@@ -362,7 +358,7 @@ static double carried_by(const zygos_config_t *config, const zygos_motion_t *mot
     if (signal < config->joints) {
         return (signal < joint) ? along(config, motion, signal, joint) : 0.0;
     }
-    return in_space(config) ? product(axis, motion->axis[joint]) : 1.0;
+    return in_space(config) ? zygos_dot3(axis, motion->axis[joint]) : 1.0;
 }
 
 void zygos_joint_derivative(const zygos_joint_t *self, const zygos_config_t *config,

@@ -1438,48 +1438,37 @@ static double cluster(const zygos_solver_t *work, uint32_t p, double residual, d
     return squares / (blocks * residual * residual);
 }
 
-/* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
-static void choose_momenta(zygos_solver_t *work, uint64_t after, uint64_t until)
+/* The first of the closed blocks from a rank on that ends behind a cycle, or their number. */
+static uint32_t first_behind(const zygos_store_t *store, uint32_t kind, uint32_t rank, uint64_t cycle)
 {
-    const zygos_momentum_sums_t *sums = &work->sums->momentum;
-    work->momenta.first = 0;
-    while ((work->momenta.first < sums->store.closed) &&
-           (zygos_momentum_sums_at(sums, work->momenta.first)->head.end <= after)) {
-        work->momenta.first++;
+    while ((rank < store->closed) && (zygos_store_head(store, kind, rank)->end <= cycle)) {
+        rank++;
     }
-    work->momenta.end = work->momenta.first;
-    while ((work->momenta.end < sums->store.closed) &&
-           (zygos_momentum_sums_at(sums, work->momenta.end)->head.end <= until)) {
-        work->momenta.end++;
-    }
+    return rank;
 }
 
 /* Chooses the blocks that are used, and sums them: first those of the energy, then those of the motors. */
 static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
     const zygos_accumulator_t *sums = &work->sums->energy;
-    const zygos_motor_sums_t *joints = &work->sums->motors;
+    const zygos_store_t *motors = &work->sums->motors.store;
+    const zygos_store_t *momenta = &work->sums->momentum.store;
     const uint64_t after = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->head.end : 0u;
     const uint64_t until = (end > 0) ? zygos_accumulator_at(sums, end - 1u)->head.end : 0u;
+    const bool all_of = (end == sums->store.closed); /* also what has ended since the newest block of energy rows */
     double all = 0.0;
     work->blocks.first = first;
     work->blocks.end = end;
-    work->arcs.first = 0;
-    while ((work->arcs.first < joints->store.closed) &&
-           (zygos_motor_sums_at(joints, work->arcs.first)->head.end <= after)) {
-        work->arcs.first++;
-    }
-    work->arcs.end = work->arcs.first;
-    while ((work->arcs.end < joints->store.closed) &&
-           ((end == sums->store.closed) || (zygos_motor_sums_at(joints, work->arcs.end)->head.end <= until))) {
-        work->arcs.end++;
-    }
-    choose_momenta(work, after, (end == sums->store.closed) ? work->sums->cycle : until);
+    work->arcs.first = first_behind(motors, (uint32_t)ZYGOS_MOTOR_ROWS, 0, after);
+    work->arcs.end = first_behind(motors, (uint32_t)ZYGOS_MOTOR_ROWS, work->arcs.first, all_of ? UINT64_MAX : until);
+    work->momenta.first = first_behind(momenta, (uint32_t)ZYGOS_MOMENTUM_ROWS, 0, after);
+    work->momenta.end =
+        first_behind(momenta, (uint32_t)ZYGOS_MOMENTUM_ROWS, work->momenta.first, all_of ? work->sums->cycle : until);
     memset(work->total, 0, entry_at(p + 1u, 0) * sizeof work->total[0]);
     work->instants = 0.0;
     work->joints_alone = 0;
     work->joints_weight = 0.0;
-    work->joints_used = ((first == 0) && (end == sums->store.closed)) ? 1u : 0u;
+    work->joints_used = ((first == 0) && all_of) ? 1u : 0u;
     for (uint32_t b = 0; b < sums->store.closed; b++) {
         const zygos_block_t *block = zygos_accumulator_at(sums, b);
         all += block->head.total;

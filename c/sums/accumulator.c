@@ -26,16 +26,6 @@ static zygos_block_t *energy_block(zygos_accumulator_t *self, uint32_t place)
     return &self->block[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
 }
 
-static uint32_t older_of(uint32_t pair)
-{
-    return pair & 255u;
-}
-
-static uint32_t newer_of(uint32_t pair)
-{
-    return pair >> 8u;
-}
-
 const zygos_block_t *zygos_accumulator_at(const zygos_accumulator_t *self, uint32_t rank)
 {
     return &self->block[zygos_store_place(&self->store, KIND, rank)];
@@ -291,8 +281,8 @@ __attribute__((always_inline)) static inline void add_matrix_row(zygos_row_buffe
    share of all entries. */
 static void add_slices(zygos_accumulator_t *self, zygos_row_buffer_t *buffer, uint32_t slices)
 {
-    zygos_block_t *falling = energy_block(self, older_of(buffer->blocks));
-    zygos_block_t *rising = energy_block(self, newer_of(buffer->blocks));
+    zygos_block_t *falling = energy_block(self, zygos_store_first_of(buffer->blocks));
+    zygos_block_t *rising = energy_block(self, zygos_store_second_of(buffer->blocks));
     buffer->shared += slices;
     const uint32_t most = zygos_gram_entries(self->width) * buffer->shared;
     uint32_t row = buffer->row;

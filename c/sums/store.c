@@ -374,16 +374,6 @@ static void seal_block(zygos_store_t *self, uint32_t kind, uint32_t place, bool 
 
 /* ---------------------------------------------------------------- which blocks there are */
 
-static uint32_t first_of(uint32_t pair)
-{
-    return pair & 255u;
-}
-
-static uint32_t second_of(uint32_t pair)
-{
-    return pair >> 8u;
-}
-
 uint32_t zygos_store_place(const zygos_store_t *self, uint32_t kind, uint32_t rank)
 {
     const uint32_t places = layout_of(kind)->places;
@@ -533,7 +523,7 @@ uint32_t zygos_store_part(const zygos_store_t *self, uint32_t kind)
 
 static void clear_part(zygos_store_t *self, uint32_t kind)
 {
-    const uint32_t place = first_of(self->pair);
+    const uint32_t place = zygos_store_first_of(self->pair);
     if (has_parts(self, kind)) {
         const matrix_t rows = matrix_of(self, kind, place, self->part);
         const uint32_t end = zygos_store_part(self, kind);
@@ -565,8 +555,8 @@ static void clear_part(zygos_store_t *self, uint32_t kind)
 static void merge(zygos_store_t *self, uint32_t kind)
 {
     const layout_t *layout = layout_of(kind);
-    const uint32_t to = first_of(self->pair);
-    const uint32_t from = second_of(self->pair);
+    const uint32_t to = zygos_store_first_of(self->pair);
+    const uint32_t from = zygos_store_second_of(self->pair);
     zygos_block_head_t *head = head_of(self, kind, to);
     const zygos_block_head_t *other_head = head_of(self, kind, from);
     const double own = fade_of(head);
@@ -781,7 +771,7 @@ static bool goes_on(matrix_t matrix, uint32_t end)
 /* Compares the next rows of a block with their row sums. */
 static void verify(zygos_store_t *self, uint32_t kind)
 {
-    const uint32_t place = first_of(self->pair);
+    const uint32_t place = zygos_store_first_of(self->pair);
     if (has_parts(self, kind)) {
         const matrix_t matrix = matrix_of(self, kind, place, self->part);
         if (self->row < matrix.width) {
@@ -915,7 +905,7 @@ static bool end_elimination(zygos_store_t *self, uint32_t kind, uint32_t place, 
 
 static void eliminate_rows(zygos_store_t *self, uint32_t kind, matrix_t rows, uint32_t end)
 {
-    const uint32_t place = first_of(self->pair);
+    const uint32_t place = zygos_store_first_of(self->pair);
     if (self->row == 0) {
         memset(rows.sum, 0, rows.width * sizeof rows.sum[0]);
     }
@@ -931,7 +921,7 @@ static void eliminate_rows(zygos_store_t *self, uint32_t kind, matrix_t rows, ui
 
 static void eliminate(zygos_store_t *self, uint32_t kind)
 {
-    const uint32_t place = first_of(self->pair);
+    const uint32_t place = zygos_store_first_of(self->pair);
     if (has_parts(self, kind)) {
         const matrix_t rows = matrix_of(self, kind, place, self->part);
         const uint32_t last = rows.width - constants_of(self, kind);
@@ -1202,7 +1192,7 @@ static void drop_open(zygos_store_t *self, uint32_t kind, bool has_rows)
 {
     verify_seal(self, kind);
     if ((self->task == ZYGOS_TASK_MERGE) &&
-        (rank_of(self, first_of(self->pair), self->fresh, self->count) < self->count)) {
+        (rank_of(self, zygos_store_first_of(self->pair), self->fresh, self->count) < self->count)) {
         self->task = ZYGOS_TASK_NONE;
     }
     if (is_buffered(kind)) {

@@ -1,4 +1,5 @@
-/// zygos/priv/numbers.h: small functions of numbers and vectors, which are inline because every stage needs them.
+/// zygos/priv/numbers.h: small functions of numbers, vectors and bytes, which are inline because every stage needs
+/// them.
 
 #ifndef ZYGOS_NUMBERS_H
 #define ZYGOS_NUMBERS_H
@@ -33,6 +34,14 @@ static inline double zygos_root(double x)
 static inline bool zygos_within(double x, double low, double high)
 {
     return (x >= low) && (x <= high);
+}
+
+/// Writes the lowest bytes of a value, the lowest one first.
+static inline void zygos_put(uint8_t *out, uint32_t value, uint32_t bytes)
+{
+    for (uint32_t i = 0; i < bytes; i++) {
+        out[i] = (uint8_t)(value >> (8u * i));
+    }
 }
 
 /// Whether sums can have so many instants.

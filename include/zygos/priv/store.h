@@ -88,6 +88,17 @@ typedef struct {
 } zygos_store_t;
 
 #ifndef ZYGOS_DECLARATIONS_ONLY
+/// The two blocks of a ZYGOS_PAIR().
+static inline uint32_t zygos_store_first_of(uint32_t pair)
+{
+    return pair & 255u;
+}
+
+static inline uint32_t zygos_store_second_of(uint32_t pair)
+{
+    return pair >> 8u;
+}
+
 /// Returns the members with which a cycle addresses blocks, and those that tell which arc is closing, in one number.
 static inline uint32_t zygos_store_twin(const zygos_store_t *self)
 {
