@@ -36,7 +36,7 @@ endif
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
 
-real: build ## measured runs of real arms: estimate, validate, compare, explain (out/real/real.html, docs/pendulum-gap.svg; a minute)
+real: build $(VENV)/.test ## measured runs of real arms: estimate, validate, compare, explain, correct the MJCF (out/real/, docs/pendulum-gap.svg; a minute)
 	$(BIN)/python -m zygos.demo.real
 	cp out/real/gap.svg docs/pendulum-gap.svg
 

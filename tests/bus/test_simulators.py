@@ -16,10 +16,9 @@ from cli_support import run
 from telemetry_support import drawn_signals
 
 from conftest import ROOT
-from zygos.demo.real import learn_pendulum
+from zygos.demo.real import explained, learn_pendulum
 from zygos.errors import ZygosError
 from zygos.files.tables import write_columns
-from zygos.gap.ground.explain import explain_ground
 from zygos.simulators.explain import FileExplanation
 from zygos.simulators.file import contents, for_output, read_robot, write
 from zygos.simulators.robot import Lump, Robot, at_stops
@@ -343,23 +342,21 @@ def test_a_table_that_is_no_run_of_the_robot(
 def test_the_measured_pendulum_is_corrected(tmp_path: Path) -> None:
     """MuJoCo with the corrected file predicts runs that were kept apart as zygos does, and far better than before."""
     found, learned = learn_pendulum(tmp_path)
-    path = tmp_path / "pendulum.xml"
-    path.write_bytes(EXAMPLE.read_bytes())
+    gap, simulator = explained(learned, found, tmp_path)
     arm = learned[0].arm
-    robot = read_robot(path, arm)
-    kept_apart = [one.run for one in found.validated]
-    answer = FileExplanation(explain_ground(arm, robot.model(arm), learned, kept_apart), robot)
-    delivered, _, corrected = answer.simulator.measured
+    delivered, _, corrected = simulator.measured
     for before, after in zip(delivered.runs, corrected.runs, strict=True):
         assert before.ratio == pytest.approx(1.0, abs=0.02), "the file as delivered is the model that zygos reads of it"
         assert after.ratio < 1.1
         assert after.score.arm_energy_share < 0.4 * before.score.arm_energy_share
-    (out,) = answer.save(tmp_path / "corrected.xml")
-    assert out.read_bytes().decode() == answer.to_mjcf()
+    out = tmp_path / "pendulum.xml"
+    assert out.read_bytes().decode() == FileExplanation(gap, read_robot(EXAMPLE, arm)).to_mjcf()
     old, new = EXAMPLE.read_bytes().splitlines(), out.read_bytes().splitlines()
     changed = [(a, b) for a, b in zip(old, new, strict=True) if a != b]
     assert len(changed) == 4 and all(b"<inertial" in a or b"<joint" in a for a, _ in changed)
-    of_urdf = FileExplanation(answer.found, read_robot(PENDULUM_URDF, arm))
+    assert "in recording 03, Nm (MuJoCo)" in (tmp_path / "gap.svg").read_text()
+    assert "In MuJoCo" in (tmp_path / "gap.html").read_text()
+    of_urdf = FileExplanation(gap, read_robot(PENDULUM_URDF, arm))
     for name in ("corrected.urdf", "from_urdf.xml"):
         own = of_urdf.written_as(tmp_path / name)
         assert own.good and all(one.ratio < 1.1 for one in own.measured[-1].runs), name

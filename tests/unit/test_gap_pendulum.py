@@ -11,7 +11,7 @@ from zygos.can.run import Run
 from zygos.gap.ground.explain import explain_ground
 from zygos.ground.estimate import estimate_ground
 from zygos.ground.score import score
-from zygos.model.model import load_model
+from zygos.simulators.file import read_robot
 
 NO_WORSE = 1.1
 
@@ -30,7 +30,8 @@ CHOICES = [" ".join(names) for count in (2, 3, 4) for names in combinations(NAME
 def test_every_choice_of_runs_ends_with_a_model_that_predicts_the_others(choice: str, recorded: dict[str, Run]) -> None:
     measured = [recorded[name] for name in choice.split()]
     apart = [recorded[name] for name in NAMES if name not in choice.split()]
-    x = explain_ground(measured[0].arm, load_model(PENDULUM / "frictionless.toml"), measured, apart)
+    arm = measured[0].arm
+    x = explain_ground(arm, read_robot(PENDULUM / "pendulum.xml", arm).model(arm), measured, apart)
     assert x.model is not None, x.sentence
     plain = estimate_ground(measured, doubtful=True).to_model()
     for one in apart:

@@ -41,6 +41,8 @@ from zygos.report.html import write_page
 from zygos.report.page import joint_colour
 from zygos.report.provenance import provenance
 from zygos.runs.tables import read_cycles
+from zygos.simulators.explain import FileExplanation, InSimulator
+from zygos.simulators.file import read_robot
 
 EXAMPLE = Path("examples/pendulum")
 LEARNED = ("00", "01", "02")
@@ -266,19 +268,24 @@ def real_answer(real: Real, *, draw: bool = False) -> Answer:
 
 def explained(
     learned: Sequence[Run], found: GroundEstimate, folder: Path, example: Path = EXAMPLE
-) -> GroundExplanation:
-    """What the published model without friction lacks, with a page and a picture.
+) -> tuple[GroundExplanation, InSimulator]:
+    """What the published model without friction lacks, and its MJCF with that, with a page and a picture.
 
-    Errors: ZygosError if a file cannot be read or written.
+    Errors: ZygosError if a file cannot be read or written, and where MuJoCo is not installed; Undecided where there is
+    no model, and where MuJoCo does not predict as zygos does.
     """
-    simulation = load_model(example / "frictionless.toml")
-    runs = [one.run for one in found.validated]
-    gap = explain_ground(learned[0].arm, simulation, learned, runs)
-    files = [("simulation", example / "frictionless.toml"), ("arm", example / "arm.toml")]
+    arm, simulation = learned[0].arm, example / "pendulum.xml"
+    robot = read_robot(simulation, arm)
+    gap = explain_ground(arm, robot.model(arm), learned, [one.run for one in found.validated])
+    own = FileExplanation(gap, robot).simulator
+    own.save(folder / "pendulum.xml")
+    files = [("simulation", simulation), ("arm", example / "arm.toml")]
     files += [("recording", example / f"{name}.blf") for name in (*LEARNED, *LIMITS)]
-    write_page(folder / "gap.html", answer_of(gap, draw=True), provenance(["real"], files))
-    write_picture(folder / "gap.svg", gap)
-    return gap
+    write_page(folder / "gap.html", own.beside(answer_of(gap, draw=True)), provenance(["real"], files))
+    delivered, corrected = own.measured[0].runs, own.measured[-1].runs
+    scores = [(run, a.score, b.score) for run, a, b in zip(own.runs, delivered, corrected, strict=True)]
+    write_picture(folder / "gap.svg", scores, "MuJoCo")
+    return gap, own
 
 
 def run_real(
@@ -297,7 +304,8 @@ def run_real(
         raise ZygosError(f"{EXAMPLE / 'arm.toml'}: no such file; remedy: run inside a checkout")
     folder.mkdir(parents=True, exist_ok=True)
     page, json = folder / "real.html", folder / "real.json"
-    check_outputs([page, json, folder / "learned.toml", folder / "gap.html", folder / "gap.svg"], [])
+    others = [folder / name for name in ("learned.toml", "pendulum.xml", "gap.html", "gap.svg")]
+    check_outputs([page, json, *others], [])
     found, learned = learn_pendulum(folder)
     beside = compared(found, learned)
     real = Real(found, beside.held_out, beside.values, audited(kr300, folder / "kr300"))
@@ -306,7 +314,7 @@ def run_real(
     write_json(json, real.as_dict())
     write_page(page, real_answer(real, draw=True), provenance(["real"], files))
     _print(real, kr300)
-    gap = explained(learned, found, folder)
+    gap, own = explained(learned, found, folder)
     if gap.gap is not None:
         show_table(
             ("recording", *(f"{name}, %" for name, _ in gap.gap.predictions[0].scores)),
@@ -317,7 +325,8 @@ def run_real(
             title="the gap of the published model without friction: error of the energy over one second",
         )
     say(f"{gap.answer}: {gap.sentence}")
-    say(f"{folder / 'gap.html'} · {folder / 'gap.svg'}")
+    say(own.sentence)
+    say(f"{folder / 'pendulum.xml'} · {folder / 'gap.html'} · {folder / 'gap.svg'}")
     say(f"{found.validity}: {found.reason}" if found.reason else found.validity)
     say(f"{page} · {json}")
     if not real.good:

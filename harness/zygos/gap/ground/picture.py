@@ -3,6 +3,7 @@ energy that is predicted wrongly."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -10,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.files.output import write_text
-from zygos.gap.ground.explanation import GroundExplanation
-from zygos.gap.ground.predictions import run_name
+from zygos.ground.score import Score
 from zygos.report.page import thinned
 
 Floats = NDArray[np.float64]
@@ -24,20 +24,23 @@ _SAID = {"measured": "measured", "as delivered": "simulation as delivered", "clo
 _POINTS = 600
 
 
-def write_picture(path: Path, found: GroundExplanation) -> None:
-    """Draw the torque of the last joint in the first untouched run. Errors: ZygosError if it cannot be written."""
-    assert found.gap is not None
-    one, joint = found.gap.predictions[0], found.arm.n - 1
-    at = thinned(len(one.closed.t), _POINTS)
-    t = one.closed.t[at]
+def write_picture(path: Path, runs: Sequence[tuple[str, Score, Score]], where: str) -> None:
+    """Draw the torque of the last joint in the first of some untouched runs, and the error of the energy in all.
+
+    runs: name, prediction as delivered and with what was found. where: in which simulator. Errors: ZygosError if it
+    cannot be written.
+    """
+    run, delivered, closed = runs[0]
+    at = thinned(len(closed.t), _POINTS)
+    t = closed.t[at]
     lines = {
-        "measured": one.closed.measured[at, joint],
-        "as delivered": one.delivered.predicted[at, joint],
-        "closed": one.closed.predicted[at, joint],
+        "measured": closed.measured[at, -1],
+        "as delivered": delivered.predicted[at, -1],
+        "closed": closed.predicted[at, -1],
     }
     most = float(max(np.abs(y).max() for y in lines.values()))
-    name = found.arm.joints[joint].name
-    parts = [_text(_LEFT, 22, f"torque of the {name} in recording {run_name(one.run)}, Nm", bold=True)]
+    said = f"torque of the {closed.joints[-1].joint} in recording {run}, Nm ({where})"
+    parts = [_text(_LEFT, 22, said, bold=True)]
     for value in _ticks(-most, most):
         y = _MIDDLE - _HALF * value / most
         parts.append(f'<path d="M{_LEFT} {y:.1f}h{_PLOT}" stroke="#dddddd" fill="none"/>')
@@ -59,9 +62,9 @@ def write_picture(path: Path, found: GroundExplanation) -> None:
         parts.append(_text(_LEFT + 190 * k + 28, 290, _SAID[name]))
     parts.append(_text(650, 22, "error of the energy over 1 s, %", bold=True))
     shares = [
-        (run_name(p.run), name, 100.0 * dict(p.scores)[name].arm_energy_share)
-        for p in found.gap.predictions
-        for name in ("as delivered", "closed")
+        (run, name, 100.0 * score.arm_energy_share)
+        for run, *scores in runs
+        for name, score in zip(("as delivered", "closed"), scores, strict=True)
     ]
     largest = max(share for *_, share in shares)
     for k, (run, name, share) in enumerate(shares):
