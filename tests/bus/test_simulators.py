@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -21,6 +23,7 @@ from zygos.errors import ZygosError
 from zygos.files.tables import write_columns
 from zygos.simulators.explain import FileExplanation
 from zygos.simulators.file import contents, for_output, read_robot, write
+from zygos.simulators.measure import Simulated
 from zygos.simulators.robot import Lump, Robot, at_stops
 from zygos.simulators.runs import read_plain
 from zygos.simulators.urdf import without_geometry
@@ -285,6 +288,14 @@ def test_a_place_where_the_file_would_not_work(
     err = capsys.readouterr().err.replace("\n", " ")
     assert said in err and "remedy" in err
     assert path.read_bytes() == before and not (tmp_path / "elsewhere" / "new.xml").exists()
+
+
+@pytest.mark.parametrize(
+    ("there", "own", "good"), [(0.21, 0.2, True), (0.23, 0.2, False), (0.009, 0.001, True), (0.02, 0.001, False)]
+)
+def test_a_file_is_written_where_mujoco_predicts_as_zygos_does(there: float, own: float, good: bool) -> None:
+    scores: Any = [SimpleNamespace(arm_energy_share=share) for share in (there, own)]
+    assert Simulated(*scores, forward=0.0).good is good
 
 
 def test_a_stop_that_is_reached_is_told(tmp_path: Path) -> None:

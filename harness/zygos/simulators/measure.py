@@ -35,6 +35,12 @@ class Simulated:
         """Error of the work in MuJoCo over that of zygos' own equations."""
         return self.score.arm_energy_share / self.own.arm_energy_share
 
+    @property
+    def good(self) -> bool:
+        """Whether MuJoCo predicts the work nearly as zygos does."""
+        own = self.own.arm_energy_share
+        return self.score.arm_energy_share <= max(limits.NOT_WORSE.value * own, own + limits.NEAR_WORK.value)
+
 
 class Simulator:
     """A compiled MJCF or URDF whose chain is an arm."""

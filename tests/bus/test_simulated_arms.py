@@ -1,0 +1,134 @@
+"""A UR10e and a Panda in MuJoCo with hidden friction and rotors: the file that lacks them is corrected.
+
+Joint frames and inertials are those of MuJoCo Menagerie (google-deepmind/mujoco_menagerie): universal_robots_ur10e at
+5f4c663 (BSD-3-Clause, ROS Industrial Consortium), and franka_emika_panda at 1b428b0 without its hand (Apache-2.0,
+Franka Emika). Rotors, friction and motions are made up here.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from cli_support import run
+
+from zygos.files.tables import write_columns
+
+HALF = 1.570796326794897
+Row = tuple[str, str, str, str, float, str]
+UR10E: tuple[Row, ...] = (
+    ("0 0 0.181", "0 0 0", "0 0 1", "0 0 0", 7.778, "0.0314743 0.0314743 0.0218756 0 0 0"),
+    ("0 0.176 0", f"0 {HALF} 0", "0 1 0", "0 0 0.3065", 12.93, "0.423074 0.423074 0.0363656 0 0 0"),
+    ("0 -0.137 0.613", "0 0 0", "0 1 0", "0 0 0.2855", 3.87, "0.11059 0.11059 0.0108844 0 0 0"),
+    ("0 0 0.571", f"0 {HALF} 0", "0 1 0", "0 0.135 0", 1.96, "0.00510825 0.00510825 0.0055125 0 0 0"),
+    ("0 0.135 0", "0 0 0", "0 0 1", "0 0 0.12", 1.96, "0.00510825 0.0055125 0.00510825 0 0 0"),
+    ("0 0 0.12", "0 0 0", "0 1 0", "0 0.092 0", 0.202, "0.000144346 0.000204525 0.000144346 0 0 0"),
+)
+"""Of each joint: place and attitude (rpy) of its frame, axis; centre, mass and inertia (xx yy zz xy xz yz)."""
+PANDA: tuple[Row, ...] = (
+    ("0 0 0.333", "0 0 0", "0 0 1", "0.003875 0.002081 -0.04762", 4.970684,
+     "0.70337 0.70661 0.0091170 -0.00013900 0.0067720 0.019169"),
+    ("0 0 0", f"{-HALF} 0 0", "0 0 1", "-0.003141 -0.02872 0.003495", 0.646926,
+     "0.0079620 2.8110e-2 2.5995e-2 -3.925e-3 1.0254e-2 7.04e-4"),
+    ("0 -0.316 0", f"{HALF} 0 0", "0 0 1", "2.7518e-2 3.9252e-2 -6.6502e-2", 3.228604,
+     "3.7242e-2 3.6155e-2 1.083e-2 -4.761e-3 -1.1396e-2 -1.2805e-2"),
+    ("0.0825 0 0", f"{HALF} 0 0", "0 0 1", "-5.317e-2 1.04419e-1 2.7454e-2", 3.587895,
+     "2.5853e-2 1.9552e-2 2.8323e-2 7.796e-3 -1.332e-3 8.641e-3"),
+    ("-0.0825 0.384 0", f"{-HALF} 0 0", "0 0 1", "-1.1953e-2 4.1065e-2 -3.8437e-2", 1.225946,
+     "3.5549e-2 2.9474e-2 8.627e-3 -2.117e-3 -4.037e-3 2.29e-4"),
+    ("0 0 0", f"{HALF} 0 0", "0 0 1", "6.0149e-2 -1.4117e-2 -1.0517e-2", 1.666555,
+     "1.964e-3 4.354e-3 5.433e-3 1.09e-4 -1.158e-3 3.41e-4"),
+    ("0.088 0 0", f"{HALF} 0 0", "0 0 1", "1.0517e-2 -4.252e-3 6.1597e-2", 7.35522e-01,
+     "1.2516e-2 1.0027e-2 4.815e-3 -4.28e-4 -1.196e-3 -7.41e-4"),
+)  # fmt: skip
+HIDDEN = {
+    "ur10e": [(0.5, 4.0, 9.0), (0.5, 6.0, 12.0), (0.3, 3.0, 6.0), (0.1, 1.0, 2.0), (0.1, 1.2, 1.5), (0.1, 0.8, 1.0)],
+    "panda": [(0.4, 0.8, 0.5), (0.4, 0.9, 0.6), (0.3, 0.7, 0.4), (0.3, 0.8, 0.5), (0.1, 0.5, 0.3), (0.1, 0.4, 0.2),
+              (0.1, 0.4, 0.2)],
+}  # fmt: skip
+"""Armature (kg m^2), friction (Nm) and damping (Nms/rad) of each joint, which the files as delivered lack."""
+
+
+def mjcf(rows: tuple[Row, ...], hidden: Any = None) -> str:
+    hidden = np.zeros((len(rows), 3)) if hidden is None else hidden
+    bodies = ""
+    for k, (place, turn, axis, centre, mass, inertia) in enumerate(rows, start=1):
+        armature, friction, damping = hidden[k - 1]
+        bodies += f'<body name="link{k}" pos="{place}" euler="{turn}">\n  <joint name="joint{k}" axis="{axis}"'
+        bodies += f' armature="{armature}" frictionloss="{friction}" damping="{damping}"/>\n'
+        bodies += f'  <inertial pos="{centre}" mass="{mass}" fullinertia="{inertia}"/>\n'
+    motors = "".join(f'<motor joint="joint{k}" gear="101"/>\n' for k in range(1, len(rows) + 1))
+    return (
+        '<mujoco><compiler angle="radian" eulerseq="XYZ"/><option timestep="0.002" integrator="implicitfast"/>\n'
+        f"<worldbody>\n{bodies}{'</body>' * len(rows)}\n</worldbody>\n<actuator>\n{motors}</actuator></mujoco>\n"
+    )
+
+
+def urdf(rows: tuple[Row, ...]) -> str:
+    parts = '<robot name="panda"><link name="link0"/>\n'
+    for k, (place, turn, axis, centre, mass, inertia) in enumerate(rows, start=1):
+        entries = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), inertia.split(), strict=True)
+        parts += f'<link name="link{k}"><inertial><origin xyz="{centre}"/><mass value="{mass}"/><inertia '
+        parts += " ".join(f'{key}="{value}"' for key, value in entries) + "/></inertial></link>\n"
+        parts += f'<joint name="joint{k}" type="continuous"><parent link="link{k - 1}"/><child link="link{k}"/>'
+        parts += f'<origin xyz="{place}" rpy="{turn}"/><axis xyz="{axis}"/></joint>\n'
+    return parts + "</robot>\n"
+
+
+def moved(tree: mujoco.MjModel, seed: int, seconds: float) -> dict[str, np.ndarray]:
+    """A run at 250 Hz that follows sums of sines, with encoders of 20 bits and torques with noise of 0.3 %."""
+    data, draw, n = mujoco.MjData(tree), np.random.default_rng(seed), tree.nv
+    h, count = tree.opt.timestep, round(seconds / tree.opt.timestep)
+    size, rate, phase = (
+        draw.uniform([0.15], [0.5], (4, n)),
+        draw.uniform(0.1, 0.5, (4, n)),
+        draw.uniform(0, 6.3, (4, n)),
+    )
+    t = h * np.arange(count)
+    angle = 2.0 * np.pi * rate[:, None] * t[:, None] + phase[:, None]
+    wanted = np.einsum("kn,ktn->tn", size, np.sin(angle))
+    speed = np.einsum("kn,ktn->tn", size * 2.0 * np.pi * rate, np.cos(angle))
+    acceleration = np.einsum("kn,ktn->tn", -size * (2.0 * np.pi * rate) ** 2, np.sin(angle))
+    data.qpos[:], data.qvel[:] = wanted[0], speed[0]
+    q, tau, mass = np.empty((count, n)), np.empty((count, n)), np.empty((n, n))
+    for k in range(count):
+        mujoco.mj_forward(tree, data)
+        mujoco.mj_fullM(tree, data, mass)
+        pull = acceleration[k] + 100.0 * (wanted[k] - data.qpos) + 20.0 * (speed[k] - data.qvel)
+        torque = mass @ pull + data.qfrc_bias - data.qfrc_passive + tree.dof_frictionloss * np.tanh(speed[k] / 0.05)
+        q[k], tau[k] = data.qpos, torque
+        data.qfrc_applied[:] = torque
+        mujoco.mj_step(tree, data)
+    step = 2.0 * np.pi / 2**20
+    noise = 0.003 * np.sqrt(np.mean(tau**2, axis=0)) * draw.normal(size=tau.shape)
+    columns = {"t": t[::2]}
+    for j in range(n):
+        columns |= {f"q{j + 1}": step * np.round(q[::2, j] / step), f"tau{j + 1}": (tau + noise)[::2, j]}
+    return columns
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur10e", "panda"])
+def test_friction_and_rotors_of_a_whole_arm(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    rows, hidden = (UR10E if name == "ur10e" else PANDA), np.array(HIDDEN[name])
+    cad = tmp_path / ("cad.xml" if name == "ur10e" else "cad.urdf")
+    cad.write_text(mjcf(rows) if name == "ur10e" else urdf(rows))
+    plant = mujoco.MjModel.from_xml_string(mjcf(rows, hidden))
+    for seed in range(3):
+        write_columns(tmp_path / f"{seed}.npz", moved(plant, seed, 8.0))
+    code = run(
+        "estimate", tmp_path / "0.npz", tmp_path / "1.npz", "--simulation", cad, "--validate", tmp_path / "2.npz",
+        "-o", tmp_path / "new.xml", "--json", tmp_path / "new.json",
+    )  # fmt: skip
+    said = capsys.readouterr()
+    assert code == 0, said.out + said.err
+    tree = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
+    assert tree.dof_frictionloss == pytest.approx(hidden[:, 1], rel=0.1)
+    assert tree.dof_damping == pytest.approx(hidden[:, 2], rel=0.1)
+    (of_run,) = json.loads((tmp_path / "new.json").read_text())["simulator"]["runs"]
+    assert of_run["corrected"]["energy"] < 0.05 * of_run["as_delivered"]["energy"]
+    assert of_run["corrected"]["forward"] < 0.05
