@@ -237,13 +237,24 @@ def test_a_chain_ends_where_the_runs_do(tmp_path: Path, count: int, said: str) -
         read_robot(URDF, None, 8)
 
 
+def test_a_urdf_with_a_body_that_cannot_be_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(PENDULUM_URDF.read_text().replace('izz="0.0005"', 'izz="0.05"'))
+    robot = read_robot(path, None)
+    for name in ("new.urdf", "new.xml"):
+        with pytest.raises(ZygosError, match=r"MuJoCo does not read it .*A \+ B >= C.*; remedy: correct"):
+            for_output(robot, tmp_path / name)
+    assert sorted(tmp_path.iterdir()) == [path]
+
+
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_a_urdf_of_which_no_mjcf_is_made(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "arm.urdf"
-    loose = f'<link name="l"/><joint name="j" type="{kind}"><parent link="link0"/><child link="l"/></joint></robot>'
-    path.write_text(URDF.read_text().replace("</robot>", loose.replace("link0", "link7")))
+    mass = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    loose = f'<link name="l">{mass}</link><joint name="j" type="{kind}">'
+    loose += '<parent link="link7"/><child link="l"/></joint></robot>'
+    path.write_text(URDF.read_text().replace("</robot>", loose))
     robot = read_robot(path, None, 7)
-    assert for_output(robot, tmp_path / "new.urdf") is robot
     with pytest.raises(ZygosError, match=f"joint j is {kind}, for which no MJCF is written; remedy"):
         for_output(robot, tmp_path / "new.xml")
 

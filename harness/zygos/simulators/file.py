@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
@@ -67,7 +68,10 @@ def for_output(robot: Robot, out: Path) -> Robot:
     if robot.format == "URDF" and suffix != ".urdf":
         made = Translation(robot.path, robot.path.read_bytes(), robot.gravity, out.parent)
         made.text({})
-        return replace(robot, format="MJCF", notes=(*robot.notes, *made.notes), translated=True)
+        robot = replace(robot, format="MJCF", notes=(*robot.notes, *made.notes), translated=True)
+    if robot.format == "URDF" or robot.translated:
+        _tree(robot, None, out.parent)  # what MuJoCo rejects is told before anything is learned
+        return robot
     if robot.format == "MJCF" and out.parent.resolve() != robot.path.parent.resolve():
         for one in read_document(robot.path, includes=True).root.walk():
             if "file" in one.attributes or "content_type" in one.attributes:
@@ -108,32 +112,42 @@ def write(files: dict[Path, bytes]) -> None:
         write_bytes(path, files[path])
 
 
+def _tree(robot: Robot, changed: Robot | None, folder: Path | None) -> Any:
+    """The MjModel of a file, as `simulator` has it."""
+    if robot.format == "URDF":
+        from zygos.simulators.urdf import corrected_urdf  # noqa: PLC0415  (an extra)
+
+        content = robot.path.read_bytes() if changed is None else corrected_urdf(robot, changed)[robot.path]
+        tree = _urdf_compiled(robot.path, content)
+        tree.opt.gravity[:] = robot.gravity
+        return tree
+    if changed is None and not robot.translated:
+        return compiled(robot.path)
+    place = folder or robot.path.parent
+    files = contents(robot, changed or robot, place / f".{os.getpid()}.partial.xml")
+    try:
+        write(files)
+        return compiled(next(path for path in files if path.parent == place and path.name.startswith(".")))
+    finally:
+        for path in files:
+            path.unlink(missing_ok=True)
+
+
+def _urdf_compiled(path: Path, content: bytes) -> Any:
+    """The MjModel of a URDF, without geometry. Errors: ZygosError with MuJoCo's reason."""
+    from zygos.simulators.urdf import without_geometry  # noqa: PLC0415  (an extra)
+
+    mujoco = load_mujoco()
+    try:
+        return mujoco.MjModel.from_xml_string(without_geometry(content).decode())
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise ZygosError(f"{path}: MuJoCo does not read it ({reason}); remedy: correct the file") from None
+
+
 def simulator(robot: Robot, arm: Arm, changed: Robot | None = None, folder: Path | None = None) -> Simulator:
     """The file in MuJoCo. changed: with other numbers, as it would be written into a folder.
 
     Errors: ZygosError where MuJoCo is not installed or rejects it.
     """
-    mujoco = load_mujoco()
-    if robot.format == "URDF":
-        from zygos.simulators.urdf import corrected_urdf, without_geometry  # noqa: PLC0415  (an extra)
-
-        content = robot.path.read_bytes() if changed is None else corrected_urdf(robot, changed)[robot.path]
-        try:
-            tree = mujoco.MjModel.from_xml_string(without_geometry(content).decode())
-        except ValueError as error:
-            raise ZygosError(
-                f"{robot.path}: MuJoCo does not read it ({' '.join(str(error).split())}); remedy: correct the file"
-            ) from None
-        tree.opt.gravity[:] = robot.gravity
-    elif changed is None and not robot.translated:
-        tree = compiled(robot.path)
-    else:
-        place = folder or robot.path.parent
-        files = contents(robot, changed or robot, place / f".{os.getpid()}.partial.xml")
-        try:
-            write(files)
-            tree = compiled(next(path for path in files if path.parent == place and path.name.startswith(".")))
-        finally:
-            for path in files:
-                path.unlink(missing_ok=True)
-    return Simulator(tree, robot, arm)
+    return Simulator(_tree(robot, changed, folder), robot, arm)

@@ -55,7 +55,7 @@ class Translation:
             if joint.attributes.get("type") not in _KINDS:
                 raise ZygosError(
                     f"{path}: joint {joint.attributes['name']} is {joint.attributes.get('type', 'of no type')}, for "
-                    "which no MJCF is written; remedy: a URDF as output (-o CORRECTED.urdf)"
+                    "which no MJCF is written; remedy: make it fixed, or leave out the link that it carries"
                 )
 
     def text(self, armatures: Mapping[str, float]) -> str:
