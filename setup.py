@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Builds the C library into the package, one shared object and its declarations, loaded through cffi in ABI mode; and
 puts the examples beside it.
 

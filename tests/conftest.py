@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the tests share: the example, and one simulation of it a session."""
 
 from __future__ import annotations

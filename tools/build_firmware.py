@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Compiles the C library and a program as firmware for a Cortex-M, and says how to run it under QEMU.
 
 Usage: build_firmware.py m7|m4f ELF SOURCE... [-DNAME=VALUE ...] [-O... -f... -I...]

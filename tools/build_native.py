@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Compiles the C library for the harness into the package: library, declarations for cffi, text of the headers, DBC.
 
 Usage: build_native.py OUTPUT_FOLDER. Environment: CC (default cc), CFLAGS (added).

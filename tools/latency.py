@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Writes the table of latencies into docs/hil.md and the picture beside it, from what `make hil` has measured.
 
 python tools/latency.py out/hil.json docs/hil.md docs/latency.svg

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Writes the logs of examples/pendulum: the replies of its drives as they were on the bus, from the published tables.
 
 Usage: pendulum.py FOLDER_OF_TRAJECTORIES OUTPUT_FOLDER. The tables are trajectory_*.csv.gz of

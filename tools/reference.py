@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Writes the reference pages in docs/reference/: keys of files, codes and configuration of the C library, JSON
 outputs, limits.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Writes the table of what the tests take into docs/testing.md, from what `make test-all` has measured.
 
     python tools/test_times.py out/tests.json docs/testing.md

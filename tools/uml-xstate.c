@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Lets Debian 12's User-Mode Linux run on processors with AMX. Preloaded into linux.uml by with-vcan.
  *
  * That kernel knows the extended processor state up to AVX-512 and keys, 2696 bytes, and hands as much to

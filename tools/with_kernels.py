@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs a command once for each of two sets of BLAS and numpy kernels that this processor has besides its own choice.
 
     python tools/with_kernels.py COMMAND [ARGUMENT ...]

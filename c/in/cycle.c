@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/cycle.h"
 
 #include "zygos/priv/fields.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/smoother.h"
 
 #include <string.h>

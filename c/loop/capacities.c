@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/types.h"
 
 /* Apart, so that who needs nothing but a few functions links nothing else. */

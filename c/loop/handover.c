@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/handover.h"
 
 #include "zygos/priv/gram.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/tables.h"
 
 #include "zygos/priv/gram.h"

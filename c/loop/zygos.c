@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/zygos.h"
 
 #include "zygos/priv/gram.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/refine.h"
 
 #include "zygos/priv/arm.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/refiner.h"
 
 #include "zygos/priv/numbers.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/balance.h"
 
 #include "zygos/priv/reduction.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/effects.h"
 
 _Static_assert((uint32_t)ZYGOS_TORQUE_GAIN + 1u == ZYGOS_EFFECT_KINDS, "the last of the kinds");

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/kinematics.h"
 
 #include "zygos/priv/gram.h"

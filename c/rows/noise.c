@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/noise.h"
 
 #include "zygos/priv/gram.h"

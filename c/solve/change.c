@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/change.h"
 
 #include "zygos/priv/effects.h"

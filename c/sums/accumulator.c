@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/accumulator.h"
 
 #include "zygos/priv/numbers.h"

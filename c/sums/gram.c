@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/gram.h"
 
 #include "zygos/priv/numbers.h"

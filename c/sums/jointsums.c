@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/jointsums.h"
 
 #include "zygos/priv/gram.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/motorsums.h"
 
 #include "zygos/priv/gram.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/store.h"
 
 #include "zygos/priv/accumulator.h"

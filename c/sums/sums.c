@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "zygos/priv/sums.h"
 
 #include "zygos/priv/effects.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The flight loop on a Cortex-M: CAN through an slcan adapter on the UART, as the boards that QEMU knows have no CAN.
    With a CAN controller, its receive interrupt takes the place of the UART's. Start-up, interrupts and
    UART are those of c/ports/cortex-m. */

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// The flight loop of one arm, from the receive interrupt to the estimate in use: the functions that a port calls, and
 /// those that it provides.
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The flight loop on a workstation: frames come from a log of candump, what is sent goes to standard output as one.
 
    host LOG [STATE]    STATE: file of the stored state; read where it is there, written at the end */

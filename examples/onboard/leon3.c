@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The flight loop on a LEON3 without an operating system: CAN_OC of GRLIB (an SJA1000 in PeliCAN mode). Trap table and
    interrupt controller are your board support's (BCC, RTEMS): it calls can_interrupt(), and its start-up takes the
    place of start below, which is the least with which a program links. */

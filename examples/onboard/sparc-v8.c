@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* What GCC calls on a SPARC V8. Your toolchain's libgcc and C library have it (BCC, RTEMS), and then this file goes;
    those of sparc64-linux-gnu-gcc -m32 are made of V9 instructions, which a LEON3 does not have. */
 

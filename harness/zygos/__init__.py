@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The dynamics of a flexible-joint space arm, learned from its CAN frames: the Python interface.
 
     import zygos

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the hardware is: joints, encoders, gyro, timing and declared noise (`arm.toml`)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The window of a Savitzky-Golay filter whose rates have a wanted cut-off."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Errors that a user can cause and repair; the command line prints them and exits with their code."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """All limits that decide: thresholds and settings of `explain`, of estimates on the ground, of audits and refinement.
 
 docs/reference/limits.md is made from this table, and an answer in JSON lists those that decided it.

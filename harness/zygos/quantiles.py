@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Tails and quantiles of the distributions that verdicts and intervals use.
 
 They are SciPy's special functions under the names of `scipy.stats`, whose import alone takes most of a second.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The report pages of results: one HTML file each, with nothing outside it."""
 
 from __future__ import annotations

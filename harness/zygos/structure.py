@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The structurally independent parameters of an arm, from its geometry alone (docs/theory.md, "Structural base
 parameters").
 

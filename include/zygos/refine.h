@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/refine.h: the filter of refiner.h as a task on board, in slices of bounded work.
 ///
 /// zygos_refine() (zygos.h) attaches it to an arm, and the other calls do all that follows. A task of its own begins

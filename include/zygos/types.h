@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/types.h: types, capacities and codes that all modules share.
 ///
 /// All quantities are in SI units and radians; a field in another unit has the unit in its name. All angles are those

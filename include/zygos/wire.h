@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/wire.h: decodes one CAN frame into one record, and encodes it. zygos.dbc defines the frames.
 ///
 /// The fields are integers, except for the f32 of the telemetry; their codes are converted to doubles in SI units. The

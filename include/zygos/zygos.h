@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos.h: identifies the dynamics of a space manipulator with flexible joints from encoders, gyro and motor torques.
 ///
 /// An onboard program makes four calls:

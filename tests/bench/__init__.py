@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """What the flight library costs: instructions, bytes, and its peers (`make bench`)."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Measures what the flight library costs, here and on Cortex-M, beside its peers (`make bench`).
 
     python -m bench [out/bench.json [CONFIGURATION ...]]

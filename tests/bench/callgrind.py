@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Instructions on the host, counted by valgrind's callgrind: each instruction that retires, exactly and repeatably."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What is measured: arms, what is switched on at them, and the inputs that they are fed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Instructions on a Cortex-M, counted by a plugin of QEMU's: what it executes, exactly and repeatably. No cycles: QEMU
 does not know the processor's pipeline.
 """

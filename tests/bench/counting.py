@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Instructions of each cycle, stage by stage: what a tool counted, and where the driver says that the cycle stood."""
 
 from __future__ import annotations

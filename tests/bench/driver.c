@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Flies the loop of an onboard program with recorded frames, and says of each cycle what it was, for a tool that counts
    its instructions: zygos_frame() for all frames of the cycle, one zygos_step(), and, behind a mark, zygos_solve().
    Reads run.bin: three uint32 (size of a configuration, size of a frame, number of frames), the configuration and the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """States whose solution is counted: a motion with the sensors' noise that determines every parameter.
 
 The cycles that are counted are random, so that each of them is among the most expensive ones. Their estimate would be

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Bytes of code and of stack, stage by stage, as compiled and linked for a target."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The host's files for a program that was written for semihosting. */
 
 #include "semihosting.h"

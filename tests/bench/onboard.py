@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the refinement on board costs on a Cortex-M7: the table of docs/refine.md.
 
     python -m bench.onboard

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 // One sample of the normal equations, by zygos and by Pinocchio with Eigen: the same arm, the same states, as many
 // parameters. Reads peers.bin: int32 joints and samples, the configuration, then doubles: per joint its frame in that
 // of the body before (rotation row-major, origin) and its axis; per sample q, theta, their rates, omega. The argument

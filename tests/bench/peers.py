@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """One sample of the normal equations by others: Pinocchio with Eigen, in C++ and in Python, and numpy.
 
 All get the same states of the same arm and add one row to sums of the same width. Pinocchio gets its own part for

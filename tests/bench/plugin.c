@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* A plugin of QEMU (TCG plugin API, version 1) that counts instructions by function and by stage.
 
    Arguments: symbols=FILE, out=FILE. A line of the first is a function: its address in hex, its bytes, and three

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Where the instructions of a full cycle go, function by function.
 
 python -m bench.profile ["paper, bare" [INPUTS [x86-64|m7|m4f]]]

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Feeds recorded cycles to the refinement on board, slice by slice, for a tool that counts the instructions of each.
    Reads run.bin: six uint32 (size of a configuration, of an estimate and of a cycle, number of cycles; cycles to a use
    of readings, terms of the series), a double (noise of the torques as a share of their size), the configuration, the

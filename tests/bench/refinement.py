@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How good `zygos refine` is, and what it refuses: the tables of docs/refine.md.
 
     python -m bench.refinement [SEEDS [NAME ...]]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The rows of out/bench.json: a stage of a configuration on a target."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What an arm in space costs to simulate: with the compiled equations of motion beside numpy's, and what it errs by.
 
     PYTHONPATH=tests:tests/support python -m bench.simulator [out/simulator.json]

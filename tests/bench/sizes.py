@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Write the bytes of the structs, and where they are beside the budgets, into docs/cost.md, and what `zygos
 compile-model` proposes for the paper's arm into README.md, docs/tasks.md and docs/integrate.md.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What solutions cost by what their answer is: pairs of Cholesky factorisations and instructions, counted by callgrind.
 
 Most of a solution are its factorisations, of which the solver makes two at a time. How many there are depends on the

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Solves states one after the other, for a tool that counts what each of them takes. Reads states.bin: zygos_arm_t as
    it lies in memory, once for each state. Writes found.bin: of each solution three uint32, its validity and reason,
    and 1 where old arcs were left out. */

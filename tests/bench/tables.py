@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The tables that docs/cost.md has of docs/bench.json, a copy of what `make bench` found last."""
 
 from __future__ import annotations

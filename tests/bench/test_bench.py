@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a cycle costs stays within its budget, does not depend on its data, and is what docs say."""
 
 from __future__ import annotations

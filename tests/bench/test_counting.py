@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What counts instructions, counts right: on programs and files whose instructions were counted by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What is said of the simulator's cost in space is so."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The dearest solution is no dearer than include/zygos/priv/solver.h states, and a refused one no dearer than a valid
 one."""
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Frames per second into the library from Python, side by side on one machine: through cffi, and through a vcan.
 
     tools/with-vcan python -m bench.throughput FILE

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The program of README.md, as it stands, in its three contexts:
 
    contexts FRAMES COUNT           COUNT frames in an interrupt thread, the task in the main thread, and the background

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Flags that break IEEE arithmetic: headers refuse what a compiler tells, and zygos_arm_init() tests the arithmetic."""
 
 from __future__ import annotations

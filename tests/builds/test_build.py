@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How the flight library compiles: strictly, freestanding, without memory of its own, on a small and bounded stack."""
 
 from __future__ import annotations

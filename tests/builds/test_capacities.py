@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Objects of other capacities than the library's do not link; what a build takes is known before it is made."""
 
 from __future__ import annotations

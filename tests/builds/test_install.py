@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`make install`, seen from outside: other people's projects, in C and C++, through pkg-config and CMake."""
 
 from __future__ import annotations

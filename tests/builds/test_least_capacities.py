@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A build of the least capacities that the manual allows: it answers at any time, and its intervals hold."""
 
 from __future__ import annotations

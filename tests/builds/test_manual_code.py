@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The C code in README.md and in the manual is C: it compiles without a warning, links, and starts. The program of
 README.md, as it stands, has no data race between its three contexts, and withstands flipped bits."""
 

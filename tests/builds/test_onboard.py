@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """examples/onboard: what users would write around the library, built as they would and run where it can."""
 
 from __future__ import annotations

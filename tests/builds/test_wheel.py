@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A wheel, seen from outside: built from a source distribution, installed into an empty environment, used elsewhere."""
 
 from __future__ import annotations

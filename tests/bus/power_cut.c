@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Loaded before the C library of a node: ends the process at the n-th change of the disk, as a loss of power does. What
    was written and not flushed is lost from the middle on. CUT: n, counted from 1; the changes that there were are
    appended to the file of CUT_LOG as they come. */

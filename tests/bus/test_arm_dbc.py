@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos dbc`: what an arm's DBC says of its frames is what the C library says, and two parsers read it alike."""
 
 from __future__ import annotations

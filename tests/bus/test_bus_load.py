@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos bus-load`: figures by hand, the longest frame that exists, and stuff bits counted a second way."""
 
 from __future__ import annotations

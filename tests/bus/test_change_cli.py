@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What `zygos estimate` and `zygos listen` say of an arm that changed, of intervals, and of noise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos check-arm`, through the command line: logs and cycle tables, clean and spoilt."""
 
 from __future__ import annotations

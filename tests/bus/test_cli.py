@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The commands as a user types them, with an answer and with a refusal each."""
 
 from __future__ import annotations

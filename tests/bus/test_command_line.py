@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What all commands have in common: help, version, completion, narrow terminals, standard input and output."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos compile-model`: what onboard software links is what the harness runs, bit for bit."""
 
 from __future__ import annotations

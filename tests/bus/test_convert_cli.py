@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos convert` as a user types it: foreign logs and tables become runs, or are refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Log files that are cut or spoilt: what survives is read, the rest is named, and no arc goes on across it."""
 
 from __future__ import annotations

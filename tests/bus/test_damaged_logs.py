@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Logs damaged at random: the flight library and the numpy twin make the same of them, frame by frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos.dbc is the single truth of the wire: its identifiers, layouts and scales, and data identifiers that differ."""
 
 from __future__ import annotations

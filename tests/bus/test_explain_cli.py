@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos explain` as a user types it: answers, refusals, and what is written in each case."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos explain` of an arm on the ground as a user types it: answers, exit codes, files, refusals."""
 
 from __future__ import annotations

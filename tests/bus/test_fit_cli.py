@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos fit` as a user types it: from an estimate to bodies that simulate and export take, and refusals."""
 
 from __future__ import annotations

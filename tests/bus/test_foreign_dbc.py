@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """DBC files with faults: of messages that the map does not use they are warnings, of others refusals."""
 
 from __future__ import annotations

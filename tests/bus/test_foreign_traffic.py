@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Traffic of a road vehicle on the arm's bus: without effect, and refused where it bears the arm's identifiers."""
 
 from __future__ import annotations

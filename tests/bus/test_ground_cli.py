@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos estimate` and `zygos predict` for arms on the ground as a user types them: runs, a payload, refusals."""
 
 from __future__ import annotations

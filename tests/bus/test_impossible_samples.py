@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Recordings with samples that no arm could have produced, or that are late: `convert` names the cause, its remedies
 can be carried out, and then the values are those of the recording without the fault."""
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Each JSON output matches its schema in docs/reference/schemas, which describes every key.
 
 `schema_support` also holds all JSON that commands write in other tests against these schemas.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What each format of log keeps, what is refused, and logs as the programs of others write them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """One recording in every format gives one estimate, whatever its stamps, its direction, and lines made for CAN FD."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`make loop`: from what a node heard to the model that flies, and what it says where it cannot go on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos convert` of MCAP files with messages of ROS 2, which are encoded here byte by byte (CDR, little endian)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos-node over a pair of sockets: what it learns, saves and answers is what the library through cffi says."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos-node for aarch64, the processor of the small computers that have a CAN interface, in QEMU's user mode."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos-node among other programs: it writes into no file but its own, shares its state with no other node, gives up
 its rights, and ends in order."""
 

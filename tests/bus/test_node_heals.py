@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos-node where memory, files or the disk fail: it goes on, with what can be trusted, and says so."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos-node --refine: what it tells of the refinement is what the library through cffi says."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """One number for one thing: the console, the JSON, the page and Python say the same of a run."""
 
 from __future__ import annotations

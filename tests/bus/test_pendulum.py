@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """examples/pendulum: the logs hold what was published, and their conversion what was measured."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos plan` as a user types it: a motion that simulate runs and estimate reads, a ranking, and refusals."""
 
 from __future__ import annotations

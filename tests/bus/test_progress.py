@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How far a long command is where stderr is no terminal: a log file, a pipe, CI."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`make real`: measured runs, from the frames of their drives to a validated model, within the limits that are set."""
 
 from __future__ import annotations

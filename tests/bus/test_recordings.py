@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What is done with a recording before it is used: gzip, UTF-16, copies of a second interface, --from and --to."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Every key and command that `check-arm` and `estimate` propose is carried out on a run with its fault."""
 
 from __future__ import annotations

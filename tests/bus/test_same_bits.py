@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A run through the in-process bus and every format of log: the same bits in the estimate."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """MJCF and URDF as simulations of `zygos explain`: read, corrected in their own bytes, measured in MuJoCo, refused.
 
 MuJoCo is the oracle: it compiles every file that is written, and is the plant of the runs from plain tables.

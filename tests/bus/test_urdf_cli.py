@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos import` and `zygos export` as a user types them, with an answer and with refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos view`: stills, the page and what it records, and the refusals."""
 
 from __future__ import annotations

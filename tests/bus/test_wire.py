@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The flight codec against three oracles that share no code with it: cantools, its generated C, and autosar-e2e."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The installation without extras: what it does, and what it says of the rest."""
 
 from __future__ import annotations

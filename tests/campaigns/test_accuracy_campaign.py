@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The campaign behind `make accuracy`: what its cases are, what it counts, and that it goes on where it was stopped."""
 
 from __future__ import annotations

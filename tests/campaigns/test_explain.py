@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Each verdict where it is the right answer, on runs of a plant that shares no code with the simulator."""
 
 from __future__ import annotations

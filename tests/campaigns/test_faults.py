@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Plants with which explanations went wrong, in MuJoCo: what is right today, and what is not yet."""
 
 from __future__ import annotations

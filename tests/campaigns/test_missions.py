@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Intervals that hold however long an arm flies: what no number of arcs averages out stays in them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Answers on arms whose plant is MuJoCo's: single cells of `make gap`, most of them with runs of half the length."""
 
 from __future__ import annotations

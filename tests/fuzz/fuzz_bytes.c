@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* What a flight computer may do with the library, as libFuzzer's bytes say: cycles, damaged and foreign frames,
  * solutions, states that are sealed, damaged and resumed, configurations with wild members. The sanitizers watch; a
  * check of the library's own promises aborts.

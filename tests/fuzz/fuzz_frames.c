@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Feeds valid, damaged and random frames to zygos_arm_frame() and checks after each what it may have changed:
  * a foreign frame nothing, a rejected one a single fault counter and the reception status.
  *

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Puts random bytes over all that the loop of zygos.h keeps: zygos_t, the memory for solutions and the refinement. Then
  * every call of the loop stays within this memory, under the sanitizers this is compiled with, and ends; and after
  * zygos_init() it works again.

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Flies the refinement on board, changes its memory between two calls, and goes on: one bit, the same bit of two words,
  * several words, or all of it. Whatever was changed, all that follows stays within its memory, under the sanitizers
  * this is compiled with, and ends; and a value hardly ever moves in silence.

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Stores states of an arm at work, changes them, seals them again, and goes on with them: whatever was in a file with a
  * good CRC, zygos_arm_resume() refuses it and leaves it as it was, or all that follows stays within its memory, under
  * the sanitizers this is compiled with. The same of work that is changed before zygos_work_solve(), and of

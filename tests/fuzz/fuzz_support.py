@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Drivers of the C library under the address and undefined-behaviour sanitizers."""
 
 from __future__ import annotations

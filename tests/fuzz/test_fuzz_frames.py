@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Valid, damaged and random frames under the address and undefined-behaviour sanitizers; `make verify` flies more."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Logs cut and with bits flipped, at seeded places: an answer or a refusal, and never a frame too many."""
 
 from __future__ import annotations

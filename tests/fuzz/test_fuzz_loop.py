@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The loop with random bytes over its memory, under the address and undefined-behaviour sanitizers."""
 
 from __future__ import annotations

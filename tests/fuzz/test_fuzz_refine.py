@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The refinement on board with memory that changes, under the address and undefined-behaviour sanitizers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Stored states with a good CRC and wild contents, under the address and undefined-behaviour sanitizers."""
 
 from __future__ import annotations

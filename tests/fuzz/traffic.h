@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Traffic of an arm for the fuzzers: random numbers, a configuration with every kind of row, and its frames. */
 
 #ifndef FUZZ_TRAFFIC_H

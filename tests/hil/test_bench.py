@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The bench as its users run it: the example of docs/hil.md, and drills on a device that is somebody else's."""
 
 from __future__ import annotations

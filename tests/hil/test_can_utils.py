@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """can-utils as foreign clients: they share no code with either end, and what they recorded is what is judged."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Real time by the clock: from SYNC to the answer of the device, alone on the bus and beside nodes that load it fully.
 
 The times depend on the machine and on who else uses it. They are reported (docs/hil.md), and only the median is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Faults on a real vcan: the device counts each of them, learns from what survived, and from nothing else.
 
 What a drill expects is its own arithmetic. `Dut.judge` holds the device against it, against the numpy reference and,

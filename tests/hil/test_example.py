@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The whole example across an AF_CAN socket: the kernel counts its frames, and the estimate has the same bits."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The loop closed over a real bus: what `make loop` does beside a pair of sockets, with the kernel's CAN and candump.
 
 A MuJoCo plant recorded the frames with a hidden effect (`oracles.demo_log`); they are sent as fast as the node answers.

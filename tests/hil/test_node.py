@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The node as a process: killed, resumed, kept from running, at its true pace, beside a babbling node."""
 
 from __future__ import annotations

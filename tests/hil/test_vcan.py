@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Frames through the kernel's own CAN code. Runs under tools/with-vcan; without an interface these tests fail."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The channel of these tests, who listens on it, and candump as a foreign recorder."""
 
 from __future__ import annotations

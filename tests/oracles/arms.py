@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The arms of the trials: what is drawn, what was built, how they move, and what their sensors make of it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Cases of the tests of explain: effects hidden in runs of the planar MuJoCo plant, explained from their CAN frames.
 
 Each case is a hidden effect, or none, at one place; its seeds differ in the arm that was built (every value off by up

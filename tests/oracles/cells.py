@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The cells of the trials: what is hidden, where, how large, and what may be said of it, stated before any run.
 
 A size is a multiple of the detection limit that the product states for the true column on the nulls of the same arm

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Write the logs of examples/gap/demo: PYTHONPATH=tests:tests/support python -m oracles.demo_log [folder]
 
 The arm that is recorded is not quite the one drawn in cad.toml, and its elbow's motor has friction. What is hidden is

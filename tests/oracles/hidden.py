@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the plants of the trials hide: torques, errors of sensors, and changes of bodies.
 
 Every law says which entry of the package's catalogue it is, if any (`key`), whether it has the form of that entry's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Effects that the plant hides. Each is a torque along one direction of the plant's coordinates.
 
 None of them has the form of a column of the package: friction is a tanh or a Dahl spring and never a sign, viscous

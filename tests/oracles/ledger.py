@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The ledger of the trials: a line for every run that was ever scored, and the table of docs/gap.md made from it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The arm in MuJoCo: bodies, gears, springs and a sampled servo, integrated by RK4 over mj_forward.
 
 Nothing of the package's dynamics, plant or sensors is used, only its readers of files. The coordinates are two slides

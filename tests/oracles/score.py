@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Verdicts against the truth: this alone reads both.
 
 A verdict is the JSON of `zygos explain`. What counts was stated before any run: where the hidden law has the form of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs of the MuJoCo plant, and their logs."""
 
 from __future__ import annotations

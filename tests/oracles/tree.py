@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Any arm in MuJoCo: planar or in space, free or on the ground, with flexible or rigid joints, moved by a servo.
 
 MuJoCo integrates (RK4) and its callback of passive forces applies what is hidden. Of the package only the readers of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`make gap`: hide effects in plants of MuJoCo, ask `zygos explain`, score its JSON, and keep every score in a ledger.
 
     python -m oracles.trials [WORD...] [draws=N] [from=N] [workers=N] [again]

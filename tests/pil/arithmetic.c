@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Applies operations to operands from a file: ops.bin holds uint64 (operation) and two doubles each, results.bin a
    double each, or an integer that fits into one. */
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What was compared with what: a table at the end of the run."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* What must be noticed: interrupts that do not save the floating-point registers. */
 
 #include "zygos/zygos.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* What must be noticed: a processor that flushes denormals to zero. */
 
 #include "zygos/zygos.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* A task that is held up at its 60th cycle until 5 frames are lost. */
 
 #include <stddef.h>

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A target that runs by itself: its serial line on a TCP port or a pseudo-terminal, its memory through QEMU."""
 
 from __future__ import annotations

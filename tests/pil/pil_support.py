@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the tests on an emulated Cortex-M share: firmware and the host's library at the same capacities, runs of both on
 the same vectors, and a comparison that names the first byte that differs."""
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Feeds what comes on stdin to the slcan parser and to the UART, on the host, where sanitizers watch.
 
        serial_line lines   every character to slcan_take(): writes the answers, and behind each frame > and slcan_line()

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* What interrupt and task did, call by call: which frames zygos_frame() stored, and how many of them each zygos_step()
    took. That depends on how fast they were, and a host cannot know it. */
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Frames from a file, each handed over in a timer interrupt that comes at odd times, many in each cycle's work: what
    a receive interrupt may do to the task at the worst.
 

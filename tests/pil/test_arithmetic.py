@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Double arithmetic on the targets is that of IEEE 754, which numpy has from the host's processor.
 
 Operands are such that software gets them wrong: far apart, near powers of two, denormal, halfway between two results.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Recorded vectors on a Cortex-M7 and a Cortex-M4F: every byte that the host's library comes to, and no other."""
 
 from __future__ import annotations

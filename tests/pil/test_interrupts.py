@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Frames in an interrupt, at any instruction of the task that works off cycles, give the bits of frames in order.
 
 QEMU counts instructions as its clock here, so that a timer interrupts where it is told to, and each run is the same.

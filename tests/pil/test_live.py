@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Firmware that runs by itself, spoken to by python-can through slcan: frames in an interrupt, cycles in a task."""
 
 from __future__ import annotations

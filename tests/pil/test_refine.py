@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The refinement on board on a Cortex-M7: the host's bits, and what it costs (docs/refine.md, "On board")."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The slcan parser and the UART's buffer on the host, under sanitizers: whatever comes on the line, and what the UART
 of QEMU cannot do, which never loses a character."""
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Images that lie in a small memory as a whole: what does not fit does not link, and the bytes are the host's."""
 
 from __future__ import annotations

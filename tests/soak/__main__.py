@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Weeks of flight at an accelerated pace (`make soak`).
 
     python -m soak [NAME ...] [--share SHARE | --full] [--json FILE]

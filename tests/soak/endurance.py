@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """One soak: weeks of CAN frames through the C library as fast as it takes them, with losses, stale frames and restarts.
 
 A few stored motions are repeated; the errors of all sensors are drawn anew each time. What the library counts is held

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The page docs/soak.md, from what `make soak` found."""
 
 from __future__ import annotations

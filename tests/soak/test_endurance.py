@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A short form of `make soak`, and what it says of a library that does not do what it should."""
 
 from __future__ import annotations

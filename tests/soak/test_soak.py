@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Weeks of flight at an accelerated pace: the sums of every kind of row stay whole, and their blocks alike.
 
 A stored motion of the example is repeated, and the sensors' noise is drawn anew each time. Cycles come in through the

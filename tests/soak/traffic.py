@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Frames that are lost or stale on their way, and what a receiver must count of them.
 
 The counts follow from the rules of docs/wire.md ("Assembly", "FTIME") and docs/snapshot.md ("Going on"), and from which

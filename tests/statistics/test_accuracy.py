@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the estimators reach in examples/lively, with the sensors of the paper."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Gains of torque sensors from 0.8 to 1.3 on arms of two, three and seven joints: no value is wrong and confident."""
 
 from __future__ import annotations

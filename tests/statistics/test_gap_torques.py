@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Torque sensors with noise and wrong gains, which the arm file says nothing of."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The null twin of a run is what the run would be if the model were right: it closes, it stays on the path, the fit
 gives back what it was made with, and a run without a gap cannot be told from it.
 

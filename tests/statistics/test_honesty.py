@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the flight library publishes when somebody lies to it, and what it says when its memory has changed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The smallest change of a link that the loop of four calls reports, and what estimates say meanwhile."""
 
 from __future__ import annotations

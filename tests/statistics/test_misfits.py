@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Effects without a column, too small to be seen in `cluster` alone: how many wrong values are called doubtful."""
 
 from __future__ import annotations

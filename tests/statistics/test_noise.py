@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What noise adds to the rows' squares: the flight library against draws of raw samples, and against its numpy twin."""
 
 from __future__ import annotations

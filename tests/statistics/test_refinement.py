@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos refine` over many seeds: errors against the bound, intervals, and plants that have more."""
 
 from __future__ import annotations

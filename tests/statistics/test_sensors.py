@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Sensor errors: sizes and units within three standard errors over fixed seeds, and reproducibility by seed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs in many short arcs, with rows of every kind."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Random arms that could be built, of any kind that an arm file can describe, and states of them."""
 
 from __future__ import annotations

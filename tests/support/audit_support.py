@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs with one fault each, whose truth is known because it was put in."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Packages that cannot be imported: the installation without extras, in this process."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Builds of the library: each is compiled once and kept in build/builds, under a digest of the sources and of what it
 was made of. `make clean` removes the folder, and other sources begin a new one.
 """

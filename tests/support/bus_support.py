@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Recorded frames played on a bus inside this process, to a command that listens there."""
 
 import contextlib

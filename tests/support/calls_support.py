@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How deep the stack of the flight library is: its call graph, as GCC tells it."""
 
 from __future__ import annotations

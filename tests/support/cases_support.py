@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Arms that differ in all that an arm file can say, and a record of each."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Balances of exactly known motions of three arms, for the test that every column is what its effect does."""
 
 from __future__ import annotations

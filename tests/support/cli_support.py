@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Commands in this process."""
 
 from __future__ import annotations

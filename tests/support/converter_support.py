@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """python-can's converter of logs in a module that imports nothing else, so that a fork loads it quickly."""
 
 from __future__ import annotations

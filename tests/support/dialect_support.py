@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Frames as the programs of others write them, each with the kinds of time stamps that it has.
 
 The writers follow candump.c and lib.c of can-utils, the samples in BUSMASTER's repository, the manual of the CAN232,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the tests of the planar equations share: the arm in Pinocchio, and random states."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Synthetic motions for the tests of the flight library, and frames written one at a time.
 
 The motions are sums of sines. Their torques are chosen afterwards, so that the rows which the library itself forms

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An arm with flexible joints on the ground, as plant of MuJoCo, and the twin study that begins with its true model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The gap example, and runs of it that no sensor touched, for the tests of balances, twin and replay."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs of a single axis on a fixed base whose torques come from Pinocchio, with laws of friction by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Recordings of arms on the ground: sums of sines with Pinocchio's inverse dynamics, friction, offsets and noise."""
 
 from __future__ import annotations

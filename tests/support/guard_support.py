@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """When an arc contradicts the running solution, once more and in numpy: as include/zygos/guard.h says it."""
 
 from __future__ import annotations

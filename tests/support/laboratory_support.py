@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Arms as they stand in laboratories: the geometry of real ones, with inertias, drives and friction made up here."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Logs for the tests of logs: every format, and .blf as recorders of others write it."""
 
 from __future__ import annotations

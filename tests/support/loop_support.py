@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An arm as a flight computer has it: zygos_t with its memory, fed by frames or by cycles."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Motions of arms on the ground without a simulation: angles are sums of sines, torques are Pinocchio's for them."""
 
 from __future__ import annotations

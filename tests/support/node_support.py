@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos-node as a child of the test, its bus one end of a pair of sockets."""
 
 from __future__ import annotations

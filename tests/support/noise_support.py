@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The flight library's noise room at one state, and rows of noisy samples that it has no part in."""
 
 from __future__ import annotations

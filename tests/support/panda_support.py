@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A Panda on the ground whose torques Pinocchio computes from a motion that is known at every instant.
 
 The geometry is the manufacturer's (../shared/data/geometry); inertias, friction and motions are made up here.

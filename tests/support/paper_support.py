@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The run of the paper's example that several folders share."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The measured double pendulum of examples/pendulum, as runs."""
 
 from __future__ import annotations

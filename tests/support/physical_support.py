@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Estimates with a known answer, drawings that are off, and inertia matrices by Pinocchio."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs of plants of MuJoCo, as an explanation reads them."""
 
 from __future__ import annotations

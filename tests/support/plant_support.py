@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The files of examples/lively, and arms made of random bodies, for the tests of the plant."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Fixtures that tests of commands and of the node share: a recorded run of the example, and its frames.
 
 A module asks for them with pytest_plugins = ["recorded_support"], and does not import this one.

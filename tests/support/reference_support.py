@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An arm, a small simulation of it and a recorder, for the tests of the numpy reference and of the methods.
 
 The motion comes from the equations of `zygos.paper.methods.de`, solved for the accelerations. The energy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Simulated runs over CAN, of plants that have more than the filter knows or not, refined and scored."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A round of a flight computer's telemetry: what it tells of one estimate, decoded and as the library has it."""
 
 from __future__ import annotations

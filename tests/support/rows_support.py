@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs the C rooms of motor impulse and momentum behind a `Flight`, cycle by cycle; and simulated runs for both."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The cache of simulated runs: tests name the run that they need, and each run is simulated once.
 
 A run is kept in build/runs under a digest of all that it depends on: the arguments and the sources of what computes it.

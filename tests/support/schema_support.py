@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Every JSON that a command writes in a test is held against its schema (docs/reference/schemas)."""
 
 from __future__ import annotations

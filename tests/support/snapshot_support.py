@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a snapshot is, once more and without the library: the head by struct, the CRC by the package crc32c."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A stored motion that is repeated for as long as one likes, with the sensors' noise drawn anew each time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Members of the library's structs by size and role: where they lie is what the compiler says, whatever their names.
 
 Tests of upsets choose their places here. A name is for messages only: no test may know that of a private member.

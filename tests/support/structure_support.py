@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Arms of known geometry, bodies for them, and the joint torques of their parameters by Pinocchio."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Logs as somebody else would record them: cantools' own encoder writes cycles under a DBC that is not zygos'.
 
 Which unit, side and sign a signal has is written here a second time, as numbers, and shares nothing with the map.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The tiers of the tests (docs/testing.md): which test is slow, what each one takes, and what all may take.
 
 A pytest plugin, loaded by tests/conftest.py. Processor time is that of the test's process and of its children that have

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs of the trials' plants in MuJoCo, each computed once (runs_support)."""
 
 from __future__ import annotations

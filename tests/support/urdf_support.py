@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Random serial URDFs, and Pinocchio's model of what was imported; nothing of zygos but its files is used."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Arm files of any size, and runs of them, for tests of what an arm puts on the wire."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Answers of two states of the code are compared: what is worse is told, and what cannot be compared is refused."""
 
 from __future__ import annotations

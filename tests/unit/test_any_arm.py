@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The whole flight chain on arms of any kind: C against numpy room by room, and against the engines that moved them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The arm file: derived numbers, and what is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The audit of a run against its arm file: what was put in is named, that alone, and nothing where nothing was."""
 
 from __future__ import annotations

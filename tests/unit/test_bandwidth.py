@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The bandwidth test of an arm on the ground at several cut-offs, against numpy and the response of the filter."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The linear motion of blocks against differences, and its solution against dense least squares."""
 
 from __future__ import annotations

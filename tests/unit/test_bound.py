@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Derivatives of the motion against differences of the simulator's equations, and the bound against dense least squares
 over all that is unknown, which share no code with it."""
 

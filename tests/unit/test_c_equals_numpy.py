@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The flight library against its numpy twin, room by room, over arms that differ in all that an arm file can say."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Every column of the catalogue is what its effect does, on three arms.
 
 A motion with an effect of any size obeys, with the true base parameters,

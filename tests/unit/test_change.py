@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An arm that changes while it is learned: the alarm, a restart that keeps the joints, and sums that fade."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos_arm_check() and zygos_arm_restart(): what memory errors have changed is found, and healed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """docs/conventions.md line by line: zygos and the other tools' own parsers tell of one arm the same numbers.
 
 Every test converts as its line says, finds the number of the other tool, and then converts as is tempting and finds

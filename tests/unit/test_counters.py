@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Counters after years of flight, and what forgetting leaves after as long."""
 
 from __future__ import annotations

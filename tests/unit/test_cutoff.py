@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The cut-off of the smoother's rates, against the response of the filter to sines, and the arm files that state it."""
 
 from __future__ import annotations

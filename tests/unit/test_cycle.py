@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Reception: frames to complete cycles. Every counter is made to count, and alone wherever it can be alone."""
 
 from __future__ import annotations

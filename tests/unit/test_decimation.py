@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Recordings faster than the grid: averages against motions, noise and integrals that are known."""
 
 from __future__ import annotations

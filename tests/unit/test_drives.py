@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Drive profiles: their frames, written byte by byte as the makers publish them, and options that do not fit.
 
 Expected values are written as numbers: the comments name the code of a maker, or its package, that gives them.

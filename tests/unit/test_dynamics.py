@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The planar equations of motion against Pinocchio, and against the paper's equations written out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Effects from the model file to the columns of the flight library: one catalogue, and what each column is worth."""
 
 from __future__ import annotations

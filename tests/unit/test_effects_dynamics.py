@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Effects, rigid joints and torque lag in the equations of motion: against Lagrange's equations drawn up from the
 bodies, against Pinocchio, and against what energy and momentum must do."""
 

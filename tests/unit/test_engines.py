@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Pinocchio and MuJoCo against each other, against point masses, and against the laws of energy and momentum."""
 
 from __future__ import annotations

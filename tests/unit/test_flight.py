@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The flight library as a whole: its calls and their misuse, arcs and blocks, what it answers and what it refuses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Joint rows in the flight library: against numpy's rows, against the bodies that moved, and what an estimate is worth.
 
 The rows' columns are derived in numpy from the energy (test_joint_rows.py); motions and torques are Pinocchio's.

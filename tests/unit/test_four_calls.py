@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The four calls of a flight computer: copies for solutions, adoption, repairs, refusals, and the age of sums."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Gains of torque sensors: their columns, their prior, and what an estimate says of a sensor whose gain is wrong."""
 
 from __future__ import annotations

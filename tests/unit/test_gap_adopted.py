@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The gate of an explanation: what no arm can have, and what predicts worse than a baseline, is no model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The twin study of arms that are neither planar nor free: on runs of MuJoCo, which shares no code with it.
 
 A run that lacks nothing closes as its twin does, and what is hidden in the plant stands out in its own column, with its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A single rigid axis on a fixed base: MuJoCo moves it with friction, and the simulation has none."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The balances of the gap search: they close for the true parameters, and every column is what its effect does.
 
 A simulated run with an effect of size eps obeys, with the true base parameters,

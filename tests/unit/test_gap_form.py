@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the form of a law leaves open of its size: a law of the column's form leaves little open, one that reverses
 slowly as much as the size by the torque differs from the one by the energy."""
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Gravity that the arm file does not state, or states along another direction, is a matter of the arm file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The gap of an arm on the ground: each verdict where it is the right one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Laws with a memory and an eccentric encoder, hidden in MuJoCo in another form: their columns find them.
 
 Columns and simulator are tested against each other in `test_catalogue.py`; here neither is the plant's.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The motion that tells a set apart: it is flown in the simulator, and the answer then has a name."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A payload of the last body of a floating arm, from the change of its inertial parameters."""
 
 from __future__ import annotations

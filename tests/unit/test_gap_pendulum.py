@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Explanations of a measured arm: whatever the runs, the model that is written predicts as well as `zygos estimate`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The page of an explained gap: whole in one file, every number in its place, and no name that can break it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a name has to stand: every entry of the catalogue in its place, and one size in each run and in all of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Shapes of laws are refined between those of the catalogue, also where the best of a finer grid lies at its end."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What is named in part has a size whose sign is certain; what has not is left out, or the answer is unknown."""
 
 from __future__ import annotations

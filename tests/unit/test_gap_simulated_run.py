@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The simulation is a run that another simulator made from the torques of a measured run."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The twin moves as the arm did, although the torque sensors are off: their offsets and gains act on no arm."""
 
 from __future__ import annotations

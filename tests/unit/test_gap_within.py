@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A payload that is taken up within a run or between two: what was recorded before and after it, the arc that holds
 the instant, the errors of sensors that stood for it, and the momentum that it brings."""
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Bits of estimates from fixed runs: a change of how the library stores its sums must change none of them.
 
 `golden/readings.npz` has what sensors read, as whole steps, and `golden/configurations.json` what the library is told

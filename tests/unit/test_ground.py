@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Estimates of arms on the ground from CAN frames, whose torques come from Pinocchio."""
 
 from __future__ import annotations

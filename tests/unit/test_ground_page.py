@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The pages of estimates on the ground and of predictions."""
 
 from __future__ import annotations

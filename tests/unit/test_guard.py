@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Arcs that contradict the running solution: left out, counted and named; several in a row are a change of the arm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Segments of joint rows that contradict the running solution, where joint rows alone determine the estimate."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Batch least squares on filtered accelerations, on torques from Pinocchio, and the campaign that compares with it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Rows of the motors' impulse: against the simulator, C against numpy, and what the sensors' noise adds to them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos_arm_solve(): the same estimate as from a copy, and a state that flies on as if its arcs had ended."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A bit of the state that flips, and nobody scrubs it: an estimate is refused as corrupt, or hardly another."""
 
 from __future__ import annotations

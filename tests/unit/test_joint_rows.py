@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Columns of the joint rows: derivatives of the energy's columns, which share no formula with them."""
 
 from __future__ import annotations

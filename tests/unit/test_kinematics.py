@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The library's sine and cosine against mpmath, and the Gram table of the rate vectors."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Times from SYNC to answer: which answer belongs to which SYNC, what waits for what, and what is told of it."""
 
 from __future__ import annotations

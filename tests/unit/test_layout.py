@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The layout of the tests (docs/testing.md)."""
 
 from __future__ import annotations

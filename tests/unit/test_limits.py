@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The table of limits is the only place of numbers that decide an answer of `zygos explain`."""
 
 from __future__ import annotations

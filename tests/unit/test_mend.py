@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Samples that no arm could have produced: each is found, and no motion, step or coarse reading is taken for one."""
 
 from __future__ import annotations

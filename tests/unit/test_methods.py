@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The paper's methods on exact motion, and the way each of them fails under noise."""
 
 from __future__ import annotations

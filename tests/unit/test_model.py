@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Base parameters from bodies, and the model file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Rows of the angular momentum: against engines and the simulator, C against numpy, and what noise adds to them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The sums of the momentum rows in the flight library: against numpy, over gaps, drops and merges, and when refused."""
 
 from __future__ import annotations

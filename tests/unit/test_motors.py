@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Motor rows beside those of the energy: whose turn it is, which arcs count, and what weight they have."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The compiled equations of motion are those of numpy and of engines by others; what a simulation with them errs by."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The MuJoCo plant: it conserves what it must, moves as the package's plant does, and its laws do what they say."""
 
 from __future__ import annotations

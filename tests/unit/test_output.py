@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What commands print: tables that lose nothing on a narrow terminal, and text that is no markup."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The hand-written pages: every link leads somewhere, and README stays a first page."""
 
 from __future__ import annotations

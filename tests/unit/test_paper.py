@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The paper's own run: what it prints, what the methods and the flight chain reach on it, and the response to (50)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Bodies fitted to an estimate: what they predict, what they leave alone, and when there are none."""
 
 from __future__ import annotations

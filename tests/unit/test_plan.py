@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The planner: limits, slopes of its measure, torques against Pinocchio, sigmas against the scatter of estimates."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The simulated arm: conservation laws, another integrator, the servo, the latches."""
 
 from __future__ import annotations

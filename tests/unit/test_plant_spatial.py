@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The simulator in space and on the ground: momentum, energy, engines by others, and the paper's reduced equations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Where the bodies stand: against Pinocchio, the simulator's own attitude, and motions whose answer is known."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Predictions of runs stand beside what the noise of all sensors makes of the same model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The motion over a period and its derivatives: the C library against numpy, and friction against differences."""
 
 from __future__ import annotations

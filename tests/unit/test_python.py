@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`import zygos`: the list of names, arrays in and out, refusals, the examples of docs/python.md, and the notebook."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The tails and quantiles agree with scipy.stats, which computes some of them in another way."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A joint that works around the end of its encoders' range: one of its angles goes over it before the other."""
 
 from __future__ import annotations

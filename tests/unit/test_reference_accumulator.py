@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Arc constants, short arcs and blocks of the numpy accumulator."""
 
 from __future__ import annotations

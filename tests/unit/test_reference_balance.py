@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Rows and arcs of the numpy energy balance."""
 
 from __future__ import annotations

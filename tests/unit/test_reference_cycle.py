@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Calibration, torque laws and segments of the numpy cycle room."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The Gram table of planar rate vectors against clouds of point masses."""
 
 from __future__ import annotations

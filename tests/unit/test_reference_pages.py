@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The reference pages list every key that a reader asks for, state truly which are required, and are up to date."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The numpy smoother against SciPy's coefficients, exact polynomials and known noise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Least squares, compensation and scatter of the numpy solver."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The whole-log reading of CAN frames: a good log, and each fault by itself."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos refine`: pieces of records, the level of the torque noise, several runs, and what is published or refused.
 
 The simulator that makes the runs shares no code with the filter, and the truth is known to the tests alone.

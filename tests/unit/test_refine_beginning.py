@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How the onboard refinement begins with a state, and what of a state cannot be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The refinement as a task on board: against the whole filter, in slices, over gaps, and what it publishes."""
 
 from __future__ import annotations

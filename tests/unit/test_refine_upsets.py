@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Memory errors in the refinement on board: what is refused, repaired, abandoned and counted."""
 
 from __future__ import annotations

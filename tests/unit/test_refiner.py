@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The square-root filter: the C library against numpy, which shares no code with it, and against the bound."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A refusal names the cause that was measured: rank, motion, noise, an unexplained residual, timing, or no frames."""
 
 from __future__ import annotations

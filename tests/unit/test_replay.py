@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Stretches in fixed steps against the simulator, and the number of steps they take."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The demo's page: whole in one file, honest about what is missing, and its ledger adds up."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The pages on a phone, 360 px wide: no number of a table is outside of the screen."""
 
 from __future__ import annotations

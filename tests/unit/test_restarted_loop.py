@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What zygos_restart() ends in the memory of the background."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The audit of an arm on the ground by the law of the whole arm: Pinocchio's torques, correct ones and wrong ones."""
 
 from __future__ import annotations

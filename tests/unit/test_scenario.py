@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The scenario file: desired motions, and what is refused."""
 
 from __future__ import annotations

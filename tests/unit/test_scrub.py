@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos_arm_scrub(): what memory errors change is found, and repaired or left out.
 
 A bit flips in every member of the state in turn, whatever the members are; what must hold then holds for all of them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The library's smoother against scipy's, on polynomials, and its bandwidth test."""
 
 from __future__ import annotations

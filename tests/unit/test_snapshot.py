@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Snapshots: the bytes are those of docs/snapshot.md, every damage is refused, and what resumes loses only time."""
 
 from __future__ import annotations

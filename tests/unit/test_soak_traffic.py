@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The counts that `make soak` expects, against the C library and the numpy reference, on traffic that is far worse."""
 
 from __future__ import annotations

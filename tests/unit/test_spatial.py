@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The general kernel: columns, dynamics and conversions of arms of any kind against engines by others."""
 
 from __future__ import annotations

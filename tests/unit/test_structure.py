@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Which parameters of an arm are independent, by its geometry: their number, their names and what they stand for.
 
 Numbers and groups are compared with the joint torques of Pinocchio's regressor at random states, which share no code

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Tables with faults: rows that are not whole, names that come twice, and files that are no tables."""
 
 from __future__ import annotations

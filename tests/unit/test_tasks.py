@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What proceeds beside the cycles gives what it would have given at once, whatever comes between."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Maps, grids and what they err, against motions whose values are known at every instant."""
 
 from __future__ import annotations

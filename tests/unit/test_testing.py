@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Faults of `zygos.testing` do to a stream what they say, and nothing else."""
 
 from __future__ import annotations

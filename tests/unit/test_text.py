@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Codes in words: every enumerator of the library has a text of its own, and every other number the same one."""
 
 from __future__ import annotations

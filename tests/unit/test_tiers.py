@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Tiers and budgets of the tests, and the cache of simulated runs."""
 
 from __future__ import annotations

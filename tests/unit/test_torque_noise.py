@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Noise of the torques walks in the work of an arc. Intervals contain it; the scatter of blocks hardly shows it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The plants of the trials move as Pinocchio says, hide what they say they hide, and write what the product reads."""
 
 from __future__ import annotations

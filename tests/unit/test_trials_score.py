@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The scorer, on made-up verdicts of every kind, and the figures that the ledger gives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """URDF in and out, against Pinocchio's own reading of the same file."""
 
 from __future__ import annotations

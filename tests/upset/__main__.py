@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Flips bits in the memory of the flight library and writes what came of it into docs/upset.md (`make upset`).
 
     python -m upset [share=SHARE] [seed=SEED]

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Flies a recorded motion again and again by the calls of an onboard program, flips one bit of all memory of the
    library in each trial, and says what came of it.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Flies the campaign of campaign.c and says which members of the library's memory the silent trials hit."""
 
 from __future__ import annotations

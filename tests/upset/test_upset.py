@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A campaign of few trials."""
 
 from __future__ import annotations

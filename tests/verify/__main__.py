@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`make verify`: evidence for the C library, written to docs/verification.json and docs/verification.md.
 
 Usage: python -m verify [STEP ...] [mutants=400] [seed=0] [minutes=30] [jobs=2] [counters=.]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Warnings of two compilers, clang-tidy and cppcheck over the C library."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Lines and branches of the C library that the quick tests run, against the floors of pyproject.toml."""
 
 from __future__ import annotations

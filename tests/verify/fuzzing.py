@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Fuzzing for a stated time: bytes that a guided fuzzer chooses, and random frames and states of seeds that go on."""
 
 from __future__ import annotations

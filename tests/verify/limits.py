@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Limits of stack, code, memory and instructions, two per cent above which `make verify` fails (limits.json)."""
 
 from __future__ import annotations

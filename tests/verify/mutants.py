@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Mutants of the C library: small changes of its source, all compiled into one library and selected by a number.
 
 Each changed expression becomes `zygos_mutant_is(K) ? changed : original`, each statement that can be left out becomes

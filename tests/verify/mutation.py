@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The mutation run: a random sample of all mutants, each against the unit tests that reach it.
 
 The survivors stand in docs/mutants.md, which this writes. Their judgements are written there by hand, and stay when the

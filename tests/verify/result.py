@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a step of `make verify` finds: a verdict, a figure for the table, and the findings."""
 
 from __future__ import annotations

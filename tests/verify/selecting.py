@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A pytest plugin that runs the collected tests for each mutant, in a fork of this process that has collected them.
 
 Environment: VERIFY_MUTANTS, a file of JSON that `mutation.py` writes: the library, the numbers, where results go.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The machinery of `make verify`: mutants, judgements, missing tools, gaps without a reason, exceeded limits."""
 
 from __future__ import annotations

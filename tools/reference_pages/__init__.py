@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """The reference pages in docs/reference/ (tools/reference.py writes them)."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The page of the enumerations of the C library: names and comments from its headers, values and texts from itself."""
 
 import re

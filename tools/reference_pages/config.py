@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The page of the configuration and the capacities of the C library: fields, ranges and comments from types.h."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The pages of the keys of arm.toml, model.toml, scenario.toml, map.toml and answers.toml.
 
 The readers themselves read the files in tools/samples/, which have every key, and a `Recorder` notes what each reader

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The page of the limits, from their table."""
 
 import re
@@ -28,7 +29,7 @@ def limits_page() -> str:
     """The page of the limits, in the parts of the table."""
     by_name = {limit.name: limit for limit in limits.TABLE}
     parts: list[str] = []
-    for part in re.split(r"^# (?!fmt)", _TABLE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]:
+    for part in re.split(r"^# (?!fmt|SPDX)", _TABLE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]:
         title, _, text = part.partition("\n")
         rows = [by_name[name] for name in re.findall(r'^[A-Z_]+ = Limit\("([^"]+)"', text, flags=re.MULTILINE)]
         parts.append(f"## {title}")

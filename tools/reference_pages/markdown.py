@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Tables and pages of Markdown."""
 
 from collections.abc import Iterable, Sequence

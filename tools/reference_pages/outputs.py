@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The page of the JSON outputs, from their schemas."""
 
 import json

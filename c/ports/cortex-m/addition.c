@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Addition of doubles in software, with the last bit right.
 
    libgcc for Arm (gcc 12 at least) rounds one case the wrong way: of operands of unlike sign whose exponents differ by

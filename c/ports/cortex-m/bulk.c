@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Firmware that processes recorded vectors: reads run.bin through semihosting, runs the library on it, writes out.bin.
    A computer of the other kind that does the same must come to the same bytes.
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// The processor: from reset to main(), faults, interrupts, sleep.
 
 #ifndef ZYGOS_CORE_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Firmware of a flight computer behind a serial line that speaks slcan: frames that come are those of its CAN bus,
    frames that it sends are telemetry.
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "semihosting.h"
 
 enum { OPEN = 0x01, CLOSE = 0x02, PRINT = 0x04, WRITE = 0x05, READ = 0x06, EXIT_EXTENDED = 0x20 };

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// Files and the exit status of the host, through a debugger or an emulator (Arm's semihosting). Without one, every
 /// call is a fault of the processor.
 

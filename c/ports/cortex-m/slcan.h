@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// slcan: CAN frames as lines of text on a serial line, as Lawicel's adapters, python-can and Linux' slcand write them.
 ///
 ///     t iii l dd..  frame with an 11-bit identifier, T iiiiiiii l dd.. with a 29-bit one; r, R: remote requests

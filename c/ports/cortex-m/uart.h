@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// A serial line: the UART of Arm's CMSDK, as an MPS2 has it. Received characters are read in the interrupt, one at a
 /// time; what is sent waits in a buffer that the transmit interrupt empties, so nobody waits for the line.
 

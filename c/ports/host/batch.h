@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// Host only: whole recordings in one call, for bindings to languages in which a call per frame is slow.
 
 #ifndef ZYGOS_BATCH_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "multibody.h"
 
 #include <math.h>

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// Host only: the equations of motion of an arm, for the simulator. Written for itself: nothing of the library
 /// that estimates is in it, so that the simulated arm and the estimator share no code.
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// The socket that frames come from and go to. CAN_RAW, or another one whose packets are struct can_frame.
 
 #ifndef ZYGOS_NODE_BUS_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// The lock of a file that one node alone may use.
 
 #ifndef ZYGOS_NODE_LOCK_H

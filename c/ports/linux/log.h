@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// Messages of zygos-node to people, on stderr.
 
 #ifndef ZYGOS_NODE_LOG_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* zygos-node: the flight library on a CAN interface of Linux. docs/node.md. */
 
 #include <stdio.h>

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// The command line of zygos-node.
 
 #ifndef ZYGOS_NODE_OPTIONS_H

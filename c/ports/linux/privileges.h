@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// The user that zygos-node runs as.
 
 #ifndef ZYGOS_NODE_PRIVILEGES_H

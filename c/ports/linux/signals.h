@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// The signals of zygos-node.
 
 #ifndef ZYGOS_NODE_SIGNALS_H

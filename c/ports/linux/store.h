@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// Snapshots in files.
 ///
 /// A state is kept in two generations: FILE, and FILE.previous, which was FILE one save before. A save writes

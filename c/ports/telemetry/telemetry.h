@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// The messages of a flight computer on the bus: the estimate, its intervals, what a refinement makes of it, every
 /// counter, and a heartbeat. zygos.dbc defines them. They are the same for every port.
 

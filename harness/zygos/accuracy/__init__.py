@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Accuracy of every estimator, coverage of its intervals, and cases in which it refuses: `make accuracy`.
 
 A case is a plant with its sensors and the information that the estimators get. A cell simulates some seeds of a case,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`python -m zygos.accuracy`, used by `make accuracy`."""
 
 from __future__ import annotations

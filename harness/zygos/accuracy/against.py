@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Compares the answers of the C library with those of another state of the code, of the same sensor errors.
 
 Who changes an estimator wants to see that bias and spread stay, that intervals neither widen nor stop to hold, and that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs the cells of a campaign on one machine or on a cluster; every finished cell is stored as a line of a file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The cases: what is simulated, and what the estimators know of it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A cell: some seeds of one case, simulated, sent as CAN frames and given to every estimator.
 
 A seed is the number of a set of sensor errors. The coverage of intervals is measured with further draws of those errors

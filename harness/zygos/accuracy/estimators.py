@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The estimators that are compared, in a table with one entry each.
 
 Every estimator gets the arm file, the CAN frames of a run, and the prior knowledge; none gets a true parameter value.

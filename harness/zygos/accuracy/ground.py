@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`python -m zygos.accuracy.ground`, used by `make ground`: estimates of laboratory arms compared with their plants."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Batch least squares of torques on filtered accelerations (IDIM): what estimates on the ground are compared with."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A draw of the campaign on the ground: a stored motion with new sensor errors, estimated, and compared with the truth.
 
 The motion is simulated once, with exact sensors and Pinocchio's equations. A draw adds errors to its readings: the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The bound of a case: the smallest errors that any unbiased estimator can have from its frames."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A mission: up to a month of one arm, and the estimate of the flight library at its end.
 
 A mission repeats a few stored motions without sensor errors, and draws the errors of all sensors anew each time.

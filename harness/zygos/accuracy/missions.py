@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`python -m zygos.accuracy.missions`, used by `make mission`: coverage of intervals in runs from a minute to a
 month."""
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The page of a campaign: errors, coverage and refusals of every estimator, and the paper's Figure 4.
 
 Python selects and scales the numbers; the template `accuracy.html` contains the text and draws the charts.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Compares answers with true values; this happens only here, after the answers are written.
 
 Errors are in percent of the true values. An answer that an estimator calls refused or doubtful counts as a refusal and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Checks an arm file against a run: which signal is swapped, inverted, stuck, saturated, skewed or wrongly scaled.
 
 No model is needed. Angles, rates and accelerations come from a smooth window phi(t) that slides over the readings: the

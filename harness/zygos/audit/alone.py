@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Each signal of a run alone: what came of it, whether it is stuck or saturated, its steps and its noise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The audit: each signal alone, signals compared with each other, and the whole arm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Faults that only the arm as a whole shows, detected by the C library's energy balance."""
 
 from __future__ import annotations

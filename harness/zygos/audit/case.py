@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An audit in progress: the run as it is corrected step by step, and what was found so far."""
 
 from __future__ import annotations

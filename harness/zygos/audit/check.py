@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A run compared with the description of its own arm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Delays between signals: readings that are older, or newer, than the others of their cycle.
 
 The readings of a group are taken from other cycles, and the run is explained best where they belong. What is left over

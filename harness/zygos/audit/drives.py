@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Faults of angles and torques by the laws of the motors, one after the other, and of the encoder pairs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The two encoders of a joint: skew in time, zero, and the stiffness that their difference implies."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The results of an audit."""
 
 from __future__ import annotations

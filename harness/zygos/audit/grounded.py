@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Faults of an arm with a fixed base and rigid joints, by the law of the whole arm."""
 
 from __future__ import annotations

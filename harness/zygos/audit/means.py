@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Means of readings and of their derivatives over a window that slides along the run."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Faults of angles and torques, detected by the laws of the motors."""
 
 from __future__ import annotations

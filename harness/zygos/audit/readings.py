@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Properties of a single signal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a finding proposes: keys of the arm file or of the map of `zygos convert`, with their values.
 
 Every key that a finding proposes is made here. `tests/bus/test_remedies.py` carries each out on a run with its fault.

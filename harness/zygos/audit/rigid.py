@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Which reading is the torque of which joint, and with which sign and scale, by the law of the whole rigid arm.
 
 The joint rows of all bodies, with Coulomb and viscous friction and an offset of each joint, are fitted to one half of a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The answer of `zygos check-arm`: its JSON, and its sections."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What only the frames of a run show: how much of each signal arrived, what saturated, and the clock of SYNC."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The most common mistakes, which each signal shows by itself: angles that wrap, and readings in another unit."""
 
 from __future__ import annotations

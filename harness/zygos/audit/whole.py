@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Faults that only the arm as a whole shows: the gyro, all signals of a joint, units, delays, torque law, smoother."""
 
 from __future__ import annotations

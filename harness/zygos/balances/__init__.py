@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """The balances that every estimate rests on: kinematics, and rows of energy, motor impulse and momentum."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Which arc an instant belongs to, over whole records (docs/theory.md, "Arcs and the constant that drops out")."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Columns of the catalogue's effects in the balances of energy and of motor impulse (docs/theory.md, "Effects").
 
 A balance is linear in the coefficients of effects; the column of an effect is what a unit of its coefficient adds.

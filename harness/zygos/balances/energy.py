@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Rows of the energy balance over whole records (docs/theory.md, "The energy balance").
 
 Within an arc, an unbroken run of instants, z_k . pi - W_k is an unknown constant: z_k holds the columns of the kinetic

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The gravity gradient, which pulls at every mass of an arm in space (docs/theory.md, "Gravity gradient").
 
 A mass at x from the mass centre of the whole arm feels the force c (r r' - 1/3) x per kg beside that of the orbit; r is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Rows of the motors' impulse over whole records (docs/theory.md, "Motor impulse").
 
 Within an arc, z_k . pi - w_k is an unknown constant for each flexible joint: z_k holds n^2 thetad + n (rate of the

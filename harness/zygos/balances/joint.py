@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Rows of the joints' momentum over whole records (docs/theory.md, "Joint rows").
 
 For the link angle q_j the generalised momentum is p_j = dT/dq'_j, and from t_a to t_b

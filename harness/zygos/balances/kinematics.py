@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Rate vectors and the columns that bodies have in the balance (docs/theory.md, "Kinetic energy, in closed form").
 
 In space, body i stands at R_i relative to the base and turns at omega_i, all in base axes. Its directions are the two

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Rows of a floating arm's angular momentum over whole records (docs/theory.md, "Momentum").
 
 Within an arc, z_k . pi is an unknown constant: the angular momentum about the mass centre, along the axis of a planar

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Integrals of sampled signals (docs/theory.md, "The energy balance").
 
 Rates bend at every torque step, so a step is integrated from the instants up to its end alone: with the cubic through

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the sensors of an arm read, before it is smoothed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What an arm does at an instant: angles and rates of its joints, and the rate of its base."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Frames on buses and in logs: converts between `FRAME` records and python-can's messages."""
 
 from __future__ import annotations

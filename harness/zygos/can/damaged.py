@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Reads logs that may be damaged: python-can decodes the intact parts, damaged parts are skipped and reported."""
 
 from __future__ import annotations

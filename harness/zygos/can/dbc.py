@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The DBC of one arm: the shipped file with this arm's nodes, names, times and parameters."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Share of a classical CAN bus that an arm's frames take: in the worst case, and in a log."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The telemetry of a flight computer, frame 0x1A0: one round for each complete estimate."""
 
 from __future__ import annotations

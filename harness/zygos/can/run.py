@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A recorded run of an arm: the frames of its bus, or a table of cycles."""
 
 from __future__ import annotations

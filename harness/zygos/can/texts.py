@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """CAN logs in text: python-can decodes each line, after dialects that it does not know were translated for it."""
 
 from __future__ import annotations

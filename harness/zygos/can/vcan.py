@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Frames through a real SocketCAN interface: kernel counts, and a transfer from one socket to another.
 
 python-can sends and a plain AF_CAN socket receives, so that the two ends share no code. Only classical frames are

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The meaning of the CAN frames: the shipped DBC and the identifiers of an arm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The command line: one file per command, loaded when the command is called."""
 
 from __future__ import annotations

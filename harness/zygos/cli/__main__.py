@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`python -m zygos.cli`, which is the command `zygos`."""
 
 from zygos.cli import main

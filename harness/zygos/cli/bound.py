@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos bound`: the smallest standard deviations that any estimator can have from a motion."""
 
 from __future__ import annotations

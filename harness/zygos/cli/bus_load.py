@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos bus-load`: computes how much of a classical CAN bus an arm's frames take, and prints a table."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos check`: compares the C library with numpy on a run."""
 
 from __future__ import annotations

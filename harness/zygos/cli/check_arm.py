@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos check-arm`: compares a run with its arm file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos compile-model`: an arm file as a constant for onboard software, and as bytes that it can load."""
 
 from __future__ import annotations

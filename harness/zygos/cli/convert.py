@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos convert`: converts telemetry of other systems to a run, with a report on each signal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos dbc`: writes the DBC of one arm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos estimate`: estimates the parameters from one or several recorded runs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The end of `zygos estimate` and `zygos listen`: answer, model file, JSON, and messages."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos example`: an example of the package, as files of one's own."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos explain`: compares runs with a simulation, names what is missing, and writes model, report and JSON."""
 
 from __future__ import annotations

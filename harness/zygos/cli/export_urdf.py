@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos export`: writes a URDF with the inertials of a model."""
 
 from __future__ import annotations

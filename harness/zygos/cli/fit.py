@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The command `zygos fit`: from an estimate to the physical arm that explains it."""
 
 from __future__ import annotations

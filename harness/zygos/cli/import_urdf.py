@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos import`: makes arm.toml and model.toml from a URDF."""
 
 from __future__ import annotations

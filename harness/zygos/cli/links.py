@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The bodies of a chain as a table and as JSON."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos listen`: estimates while frames arrive."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What `zygos listen` shows while frames arrive: on a terminal a table in place, elsewhere a line from time to time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a flight computer on the bus tells of its refinement, as a table and for the JSON of `zygos listen`."""
 
 from __future__ import annotations

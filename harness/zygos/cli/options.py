@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Options and arguments that several commands have."""
 
 from __future__ import annotations

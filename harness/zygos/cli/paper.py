@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos paper`: reproduces the paper's Tables III and IV and Fig. 4(b), next to the printed values."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos parameters`: the base parameters of an arm, and what each of them stands for."""
 
 from __future__ import annotations

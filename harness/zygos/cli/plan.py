@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos plan`: what a motion will tell about each parameter, and a motion that tells more."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos predict`: compares runs with what a model predicts of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos refine`: parameters near the information limit from one or several recorded runs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Steps that several commands share: read a run, report damage, deliver an answer, say where it is from."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos simulate`: simulates a scenario and records the run."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos view`: show the arm of a run moving."""
 
 from __future__ import annotations

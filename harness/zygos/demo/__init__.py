@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """The demonstration that `make` runs: the paper's example from simulated frames to a scored report."""

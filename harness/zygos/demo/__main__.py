@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`python -m zygos.demo`, which `make` runs."""
 
 from zygos.demo.demonstration import run_demo

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The picture of README.md: the gap of the demonstration, before and after."""
 
 from __future__ import annotations

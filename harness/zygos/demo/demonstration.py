@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The demonstration that `make` runs: the paper's example from CAN frames to parameters, a gap explained, and a report.
 
 Each step runs as a separate process, and those that estimate get no file with true values: `zygos simulate` writes

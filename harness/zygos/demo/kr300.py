@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The audit of a run of a KUKA KR300 R2500: how far apart in time the two encoders of an axis are read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The loop that `make loop` closes: a node flies with the simulation's model, its traffic explains the gap, and the
 node flies on with the model that was adopted.
 

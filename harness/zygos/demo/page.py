@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The report of the demonstration: one self-contained page.
 
 Python selects and scales the numbers; `demo.html` contains the text, and the script in `charts.html` draws the charts.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The picture of the closed loop that docs/node.md shows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`python -m zygos.demo.real`, used by `make real`: measured runs of real arms, from CAN logs to a validated model.
 
 The recordings of examples/pendulum are converted, three of them are learned from, and two are predicted. Batch least

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The equations of motion of `zygos.dynamics.serial`, compiled (c/ports/host/multibody.c), and steps of time.
 
 For steps of time the catalogue's laws without a memory are compiled; elsewhere effects follow their laws in Python. The

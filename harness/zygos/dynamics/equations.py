@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The equations of motion for a simulation: our own, or those of an independent engine."""
 
 from __future__ import annotations

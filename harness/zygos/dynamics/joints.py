@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The joints' dynamics: rotors, springs, dampers and the effects of the catalogue, for any arm.
 
 A joint of infinite stiffness is rigid, theta = q. Effects act as their entries in the catalogue define. For a torque

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Equations of motion of the planar free-floating arm, from its base parameters and effects only (docs/theory.md).
 
 Body i (0 = base) turns at the absolute rate f_i; f_0 = omega_0, f_i = f_{i-1} + qd_i; phi_i is its absolute angle. With

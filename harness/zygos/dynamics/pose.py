@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Positions and attitudes of the bodies of an arm: their frames at many instants, and the motion in a recorded run.
 
 R_i = R_{i-1} Rpy(frame_rpy_i) Rot(axis_i, q_i) and p_i = p_{i-1} + R_{i-1} joint_xyz_{i-1}: body i's frame is that of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Integrates many short pieces of motion at once, with torques that are constant from SYNC to SYNC.
 
 The pieces, for instance of a simulated run or of predictions of the next half second, begin at known states. They share

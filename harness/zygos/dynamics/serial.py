@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Equations of motion of any serial arm, by projection of its constant matrix N (docs/theory.md, "Equations …").
 
 With the directions rho_a of all bodies, their Jacobians J_a with respect to u = (omega_0, qd) and the matrix N_ab of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The catalogue of effects beyond rigid bodies, rotors and linear springs, and effects in a model."""
 
 from zygos.effects.catalogue import CATALOGUE, COMPILED, ENTRIES, GAIN, OFFSET, Catalogue, laws, load_laws

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The catalogue of effects that a model may carry beyond rigid bodies, rotors and linear springs.
 
 An entry here defines an effect completely: its name in the model file, the torque that the simulator applies or what a

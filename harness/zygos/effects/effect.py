@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An effect in a model: an entry of the catalogue with its place and its value, and the names of its columns."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What an entry of the catalogue states of its effect: its site, its law, and the names it has in files and sentences.
 
 At each site the coefficient c of a law f acts in the same way for every law:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The memory of a law: internal states that follow the motion."""
 
 from __future__ import annotations

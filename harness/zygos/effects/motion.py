@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The motion at its site that a law may depend on."""
 
 from __future__ import annotations

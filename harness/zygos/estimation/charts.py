@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Charts of a run as the estimator saw it: the motion, the energy balance, and what is left over of it."""
 
 from __future__ import annotations

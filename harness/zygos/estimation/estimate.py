@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An estimate from a run: the values of the flight library, what it left out, and whether the arm changed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Both sides of the energy balance of a run, split by what the parameters stand for."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The measured values that explain why an estimate is not valid, and the remedy."""
 
 from __future__ import annotations

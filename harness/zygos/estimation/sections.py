@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The answer of `zygos estimate`: its JSON, and its sections.
 
 It knows what the estimator knows, and no true value.

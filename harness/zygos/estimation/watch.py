@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Monitors a flight: it adopts valid estimates twice per arc and detects whether the arm changed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What an estimate reports to a person besides its values, in sentences."""
 
 from __future__ import annotations

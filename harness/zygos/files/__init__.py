@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """Files and streams: TOML, tables, standard input and output, progress."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The examples that come with the package: their folders, and copies of them."""
 
 from __future__ import annotations

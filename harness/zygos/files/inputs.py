@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Input of commands: a file, or standard input if the name is "-"; either may be compressed with gzip."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Names in the character sets of other formats: identifiers of a DBC or of C, comments in ASCII."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Output of commands: tables for people, JSON for programs, files that are written completely or not at all."""
 
 from __future__ import annotations

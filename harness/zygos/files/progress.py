@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Progress of a long command where no bar can be drawn (pipe, file, CI): a line on stderr from time to time."""
 
 from __future__ import annotations

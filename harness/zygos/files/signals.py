@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Ctrl-C and SIGTERM as a request to end."""
 
 from __future__ import annotations

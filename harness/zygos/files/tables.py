@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Tables of numbers: CSV, NPZ, and Parquet through polars. A column is a name and n values."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Strict reading of TOML tables: every error message names the file, the key and the remedy.
 
 Readers state the meaning of each key where they read it; `tools/reference.py` makes the reference pages of these.

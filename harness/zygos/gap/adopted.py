@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The gate of an explanation: a model leaves it as `Adopted` only, which no failing check lets be made."""
 
 from __future__ import annotations

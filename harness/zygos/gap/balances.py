@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The balances of a gap: what every parameter and every effect of the catalogue adds to each, for batches of arcs.
 
 Energy E of the whole arm: work of the motors = change of kinetic and potential energy + losses. Motor impulse M_i,

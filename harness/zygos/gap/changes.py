@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """When something changed: a coefficient, or the bodies as a payload changes them, that is another after an instant.
 
 Rows are summed arc by arc. A change multiplies columns by a step from an arc on, so that every candidate and every

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The charts of an explained gap: which curves are drawn over what, thinned to what a screen shows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The content of the JSON that `zygos explain` writes."""
 
 from __future__ import annotations

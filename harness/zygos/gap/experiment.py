@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Which motion would tell two effects apart that these runs cannot."""
 
 from __future__ import annotations

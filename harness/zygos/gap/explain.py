@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """From two runs and a simulation to a verdict: what is missing, where, how much, and what the gap is with it."""
 
 from __future__ import annotations

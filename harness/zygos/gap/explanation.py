@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Everything that an explained gap consists of."""
 
 from __future__ import annotations

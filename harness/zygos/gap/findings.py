@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What is found where a simulation and runs disagree, as data: values, effects, deflections, and the gap itself."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Least squares over several runs and balances at once, from their sums.
 
 A hypothesis says which columns have a coefficient: base parameters that the model knows, effects that it carries. All

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The gap: how well a model predicts the next half second of an untouched run, in units of the sensors' noise.
 
 The state at the start of a segment is fitted to half a second of readings with the model under test, and the half

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the form of a law leaves open of its size.
 
 A coefficient is the size of its column that suits the rows best. Where the law of the arm is exactly that of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the laws of a model remember along measured motions."""
 
 from __future__ import annotations

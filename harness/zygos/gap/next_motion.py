@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The motion after which effects that these runs cannot tell apart can be told, as a scenario that is ready to fly.
 
 Motions are simulated with the model that was found, and read by the declared sensors. Each effect of a set must then

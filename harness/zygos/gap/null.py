@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How large the scores of candidates get on runs that lack nothing: the distribution of the largest of them.
 
 What noise does to a coefficient is linear in the products of the columns and of what the twin's own coefficients leave

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Parts of a law: each may have a size of its own where the law of the arm has another form than its column."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A change of the bodies of an arm that floats, as a payload of its last body: mass, first moments and inertia.
 
 Momentum and energy of a floating arm hold masses only relative to each other. The bodies of the simulation give the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How well a model predicts a run: its torques joint by joint, and the motion half a second ahead.
 
 Both errors stand beside their floor, which is what the noise of all sensors makes of the same model.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The answer of `zygos predict`: its sections."""
 
 from __future__ import annotations

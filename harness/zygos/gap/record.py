@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A measured run, cut into arcs of equal length that are looked at one by one.
 
 All arcs of a run, and all draws of its twin, go through the same smoother and the same balances as one batch.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What is left over after the named effects, and what it varies with."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What models leave over of a run's balances and of its predictions: the numbers behind a page's charts and tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs as they are loaded, to explain or to predict: what a gap needs of them, checked."""
 
 from __future__ import annotations

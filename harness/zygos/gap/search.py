@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Which effect is missing: candidates one after the other, each read against the null twin and on both runs."""
 
 from __future__ import annotations

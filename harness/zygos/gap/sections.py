@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The sections of an explained gap: verdict, gap, where, why not something else, and what the model becomes.
 
 `zygos.gap.residuals` has the numbers, `zygos.gap.sentences` the sentences, `zygos.gap.charts` the charts; here numbers

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Every sentence about an explained gap, from the data of its verdict."""
 
 from __future__ import annotations

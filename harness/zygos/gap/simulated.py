@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The model of another simulator, estimated from a run that it made from the torques of a measured run."""
 
 from __future__ import annotations

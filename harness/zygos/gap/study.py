@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Two runs, a hypothesis about them, and its twin: everything a search asks again and again."""
 
 from __future__ import annotations

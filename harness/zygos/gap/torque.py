@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Torques that models need for the motion of a run, beside those that were measured.
 
 This is inverse dynamics along the smoothed motion, from the joints' own balances, so that no acceleration is needed.

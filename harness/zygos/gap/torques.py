@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Noise of torque sensors that the arm file says nothing about, from the runs themselves.
 
 A servo answers every reading of its encoders, so that a torque jitters although it is measured without error: this

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The null twin of a run: what the same sensors would have seen of the same motion, had the model been right.
 
 The model is integrated once along the measured path, each arc from its measured state, under the measured torques and

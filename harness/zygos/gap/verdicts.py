@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The verdicts on a simulation and what must be added to them, as data; `zygos.gap.sentences` says them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Which balances fail by themselves, and where to look for the cause."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An estimate on the ground: an arm with a fixed base and rigid joints, learned from one or several runs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The score of a model of an arm that floats or has flexible joints: mean torques over increments.
 
 For a flexible joint the balance of its rotor and that of its link are added, so that the spring between them drops out:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a run says about the motion of an arm with rigid joints: smoothed states, and the torques that acted."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the last body of an arm took on since a model was made: mass, first moments and inertia of a payload."""
 
 from __future__ import annotations

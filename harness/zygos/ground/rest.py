@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """When a joint is at rest: one rule for estimates, predictions and explanations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The equations of one run: joint rows with columns of the arm, of friction and of the torque sensors."""
 
 from __future__ import annotations

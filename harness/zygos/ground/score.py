@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How well a model predicts the torques of a run, joint by joint."""
 
 from __future__ import annotations

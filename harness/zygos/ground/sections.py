@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The sections of an estimate on the ground, and of the torques of a run beside those that a model predicts."""
 
 from __future__ import annotations

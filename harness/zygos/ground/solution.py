@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Weighted least squares on the sums of one or several runs, with intervals from leaving out one block at a time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The sums of a run's rows: one matrix for each block of time and each joint. They add, over blocks and over runs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The null twin of a run of an arm with rigid joints: what a model would have reported along the same motion.
 
 The filtered angles of the run are the motion of the twin, and its torques follow from the model by inverse dynamics.

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """Models of an arm: bodies, base parameters, and the fit of bodies to base parameters."""

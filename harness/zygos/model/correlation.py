@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Correlations between the values of a model that were estimated together (`[correlation]` of `model.toml`)."""
 
 from __future__ import annotations

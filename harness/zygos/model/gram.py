@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """From bodies to the constant matrix of the kinetic energy of a spatial arm (docs/theory.md, "From bodies to N").
 
 Every mass point of a body lies at a sum of vectors c_j, each fixed in one body j. The component of c_j along joint axis

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The assumed physical parameters of an arm: masses, lengths, inertias, stiffness (`model.toml`).
 
 A model is given either by its bodies and joints, or by base parameters (docs/theory.md). Both give `base_parameters`.

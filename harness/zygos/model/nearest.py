@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Bodies from base parameters: the bodies nearest to a drawing, and which of their entries are determined.
 
 An arm has fewer base parameters than its bodies have entries (docs/theory.md). Of all bodies with the given parameters,

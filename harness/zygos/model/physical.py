@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The physical arm that explains an estimate: bodies, lengths and drives whose base parameters fit it
 (docs/physical.md).
 

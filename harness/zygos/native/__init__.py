@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """The C library that flies, through cffi: estimator, snapshots, generated configuration."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The C library from Python: the same code that flies, called through cffi in ABI mode.
 
 A whole recording passes in one call. The declarations are made of ``zygos.h`` itself (`tools/build_native.py`); a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """`zygos compile-model`: an arm file as the constant that onboard software links, and as bytes that it loads."""
 
 from __future__ import annotations

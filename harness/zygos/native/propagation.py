@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Motion over a SYNC period with its derivatives, by the C library (``zygos/propagation.h``)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The filter of the C library as it runs on board (``zygos/refine.h``): a task that is fed with cycles."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The square-root filter of the C library over a record (``zygos/refiner.h``)."""
 
 from __future__ import annotations

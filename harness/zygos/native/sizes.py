@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The memory of the flight library at other capacities than those of this build, from the text of its headers."""
 
 from __future__ import annotations

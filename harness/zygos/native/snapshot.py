@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Stored configurations and states: memory of the C library behind a head with layout and CRC (docs/snapshot.md)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The values printed in Tables III and IV of the paper, by the names of `arm.toml`; the paper's a21 is a12 here."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Several interpretations of what the paper leaves open, and how close each comes to its Table IV."""
 
 from __future__ import annotations

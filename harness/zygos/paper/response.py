@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The response to the torques (50) of the paper, from rest, and its difference for other parameters."""
 
 from __future__ import annotations

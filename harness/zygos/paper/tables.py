@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The paper's tables, reproduced: its three methods in batch, and for comparison the flight library.
 
 K. Nanos, E. Papadopoulos, "On Parameter Estimation of Space Manipulator Systems with Flexible Joints Using the Energy

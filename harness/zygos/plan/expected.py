@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a motion is expected to tell about each parameter."""
 
 from __future__ import annotations

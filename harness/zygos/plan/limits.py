@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Limits that a planned motion keeps: angle, rate and torque of each joint."""
 
 from __future__ import annotations

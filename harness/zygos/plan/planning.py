@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Planning a motion, and ranking motions, for any arm: with rows of its joints on the ground, else by simulation."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Columns of the joint rows along a motion that is given as a function of time, and what they are worth.
 
 The columns are those that an estimate on the ground uses (`zygos.balances.joint`), of the motion itself instead of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The search for the motion of an arm on the ground that tells most about its parameters.
 
 The measure is the mean logarithm of the sigmas of the parameters' independent combinations: the logarithm of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The motion that separates hypotheses best: periodic motions and motions with stops are tried within the limits."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Periodic motions within limits of angle and rate that begin and end at rest: among these, a motion is sought."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a motion tells about an arm that floats or has springs: it is simulated, and either the flight library
 estimates, or the Cramér-Rao bound says what the frames tell at most.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The numpy reference: one stage for each stage of the flight library, for whole records and in matrix form.
 
 It computes the same results as the C library by different methods (convolution instead of ring buffers, design matrices

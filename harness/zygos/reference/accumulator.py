@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Normal equations of the arcs (docs/theory.md, "Arcs and the constant that drops out").
 
 The unknown constant of an arc is eliminated by subtracting the mean of its accepted rows from each of them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A run through the C library and through numpy, and both compared stage by stage."""
 
 from __future__ import annotations

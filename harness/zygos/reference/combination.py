@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The rows beside those of the energy, their weights, and their use together (docs/theory.md)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Compares C with numpy on one log, stage by stage."""
 
 from __future__ import annotations

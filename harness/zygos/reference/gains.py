@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The prior of the torque sensors' gains beside the rows, and its part in the intervals (docs/theory.md, "Gains").
 
 With errors e of the sensors' gains, independent and of the declared deviations s, gain j relative to the reference r is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The joint rows in interleaved groups, their noise, and their part in the estimate (docs/theory.md, "Joint rows")."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Mean contribution of the sensors' noise to rows and to their squares (include/zygos/noise.h).
 
 With S the covariance of the smoothed signals and J the derivative of the augmented row [columns, work] with respect to

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The sections of a comparison between the C library and numpy: its stages, and the differences over the run."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Sigmas and 95 % intervals from the sums of blocks (docs/theory.md, "Sigmas and intervals").
 
 The blocks are the library's own; their evaluation is independent. Matrices are inverted directly, one for each block.

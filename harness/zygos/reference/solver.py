@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Least squares on the centred rows, and sigmas from blocks left out (docs/theory.md, "Solver" and "Sigmas …")."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """From CAN frames to cycles over a whole log (docs/wire.md, "Assembly").
 
 The layout comes from `zygos.dbc` through cantools, the check of the header from the package `autosar-e2e` of PyPI. A

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A record in blocks of successive cycles, and the motion in each of them as linear functions of what is unknown.
 
 Over 10 ms the derivatives of the accelerations hardly change, so that an exponential series carries them on. Readings

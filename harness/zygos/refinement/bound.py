@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The Cramér-Rao bound: the smallest standard deviations that any unbiased estimator can have from the frames of a
 motion (docs/theory.md, "The information limit").
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The filter of the C library (``zygos/refiner.h``) in numpy, with triangular square roots from QR decompositions.
 
 It shares no code with the C library, and checks it (`tests/unit/test_refiner.py`). All arrays are dense; derivatives

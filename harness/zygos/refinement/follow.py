@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """One solution for all readings of a record: a filter of state and bias over its blocks, with what the constants move.
 
 A Kalman filter that takes the constants as known follows the changes of state and bias, and leaves innovations. Beside

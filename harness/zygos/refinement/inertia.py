@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How far the inertia matrix of an estimate is off: the error that a controller sees, whatever the parameters are."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Equations of motion with their derivatives with respect to state, parameters and torques (docs/theory.md, "The
 information limit").
 

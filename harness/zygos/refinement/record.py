@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Recorded runs as a refinement takes them: pieces of motion over which its state can be followed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Parameters near the information limit from recorded runs, by least squares for all readings (docs/theory.md, "All
 readings at once").
 

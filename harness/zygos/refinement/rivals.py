@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Tests of a fit against models that have one thing more.
 
 The torques are taken as they are reported. If the readings are followed better once all torques are delayed a little,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The noise of the torques that the readings favour: solutions at several levels of it."""
 
 from __future__ import annotations

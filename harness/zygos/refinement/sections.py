@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The answer of `zygos refine`: its JSON, and its sections.
 
 It knows what the refinement knows, and no true value.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the solutions begin with: the estimate from energy rows, and a model where these determine nothing."""
 
 from __future__ import annotations

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """Report pages: one self-contained HTML file each."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a command found: a verdict, and sections with typed content. Terminal and HTML show this one structure.
 
 Texts may hold `code` in backticks and **stress** in asterisks. Numbers are written as people write them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Numbers as people write them, and scales of powers of ten."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An answer as a page: one self-contained file, from one template."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Common parts of the pages: one self-contained file, its style, and the charts that the script in it draws.
 
 A page's data are `times`, named lists of instants or of other abscissae; `charts` by id, each over one of them; and

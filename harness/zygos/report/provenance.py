@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What an answer was made from."""
 
 from __future__ import annotations

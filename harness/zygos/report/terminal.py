@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An answer in the terminal: the verdict first, then a few lines; all tables where they are asked for."""
 
 from __future__ import annotations

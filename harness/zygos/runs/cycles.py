@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A run as reported by the sensors: one record per SYNC cycle, in SI units."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Samples that no arm could have produced between their neighbours: outliers, and steps of whole turns.
 
 A sample is compared with what its neighbours on both sides say of it, and the difference with how much the second

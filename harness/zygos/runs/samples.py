@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """From sensor readings to joint motion, for whole records (docs/theory.md, "What belongs to which instant").
 
 Signs, zeros and the gyro's mounting are applied, the torque record is shifted to the interval in which it acted, and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Fixed-lag Savitzky-Golay smoother over whole records (docs/theory.md, "Smoother and bandwidth test").
 
 Every state at instant k comes from the samples k-M .. k+M: a polynomial is fitted to them by least squares, and its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The part of a recording that is read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A run as a table of cycles: the input of the flight library's function for cycles, for arms on other buses.
 
 CSV and Parquet have the columns sync, q1 .. qN, theta1 .. thetaN, tau1 .. tauN, wx, wy, wz, flags; NPZ has the fields

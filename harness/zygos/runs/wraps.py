@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Angles of a run that start again after a turn."""
 
 from __future__ import annotations

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """The simulated plant: scenario, motion, sensors, and the scorer that compares estimates with its true values."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The simulated arm: sampled servo, torque held between SYNCs, SciPy's DOP853 in between.
 
 Between SYNCs the equations of motion are smooth and autonomous, so each period is integrated separately, all seeds as

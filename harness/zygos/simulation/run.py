@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A scenario simulated: the run that sensors record, and, apart from it, what only the simulator knows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The run to simulate: manoeuvre, controller, duration and seed (`scenario.toml`)."""
 
 from __future__ import annotations

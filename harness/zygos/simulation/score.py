@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Compares estimates with true values; this happens only here, after the estimate is written."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Sensor readings of a motion (Nanos & Papadopoulos eqs. (28)-(32); docs/paper.md, errata and noise).
 
 The error of an encoder is Gaussian with variance quantum^2/12, or its reading is rounded to the quantum. The gyro has

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The file of a simulator with what was learned: possible bodies nearest to its own, armatures, friction.
 
 An arm has fewer base parameters than its bodies have entries, and those of an estimate contain noise. The inertials are

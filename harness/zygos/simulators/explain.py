@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """From an explanation to the file of the simulator: corrected, measured in that simulator, and written."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A file of a simulator with what was learned, written so that its own folder still holds all that it refers to."""
 
 from __future__ import annotations

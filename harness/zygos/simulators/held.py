@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the files of simulators can hold of the effects of the catalogue, and what a control loop has to do instead."""
 
 from __future__ import annotations

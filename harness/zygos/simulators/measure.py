@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The gap in MuJoCo: the torques that a file needs for the motion of a run, and where the torques of a run take it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """MJCF: read by MuJoCo itself, and mapped to the elements of the file that state what was read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A serial arm as the file of a simulator describes it, and what zygos makes of it: an arm and a model.
 
 Everything is stated in the axes of the base at zero joint angles. A simulator knows no gears: what turns with a joint

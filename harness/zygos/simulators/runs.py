@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Runs of an arm that a file of a simulator describes, as plain tables: time, angles and torques at the joints."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """URDF: the chain of an arm with friction and damping, and its file with other numbers in the same bytes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """XML files whose attributes are changed in their own bytes: whatever is not changed stays as it was, byte for byte.
 
 Expat says where each element begins. An editor that parses and writes again would lose comments, quotes, line ends and

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """Telemetry of other systems: map.toml, the grid of cycles, conversion."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Drive profiles: the frames that drives of laboratory arms send, as a DBC and a template of the map.
 
 A profile is data, `zygos/drives/NAME.toml` and `NAME.dbc`; its frames are decoded as those of any other DBC.

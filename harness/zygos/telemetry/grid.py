@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """From telemetry to cycles: by the telemetry's own cycle counter, or by interpolation on a fixed grid.
 
 Without a SYNC each signal has its own time stamps. Angles and rates are interpolated at t_k = k * period; a torque that

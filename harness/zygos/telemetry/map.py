@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Telemetry of other systems: which signal of a foreign log or table is which reading of the arm, in which unit
 (`map.toml`).
 

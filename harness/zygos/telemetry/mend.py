@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Samples of a recording that no arm could have produced between their neighbours.
 
 Angles that start again are unwrapped. Samples that lie off are left out, with the rest of their message or row. What

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A run as a recording: its readings, with which `zygos convert` needs no map."""
 
 from __future__ import annotations

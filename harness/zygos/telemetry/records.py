@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Records of an MCAP (https://mcap.dev/spec), also of one that is cut or damaged."""
 
 from __future__ import annotations

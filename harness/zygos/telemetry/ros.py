@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Messages of ROS 2 in an MCAP: joint states and rates of a gyro, as a `Recording`."""
 
 from __future__ import annotations

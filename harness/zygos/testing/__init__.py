@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A test bench for flight computers, as a pytest plugin: `pytest_plugins = ["zygos.testing"]` (docs/hil.md).
 
 Fixtures: `bus`, `plant`, `dut`, `faults`. Options: --zygos-channel, --zygos-dut, --zygos-scenario, --zygos-json.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The device under test: zygos-node in a separate process, or an external device on the channel."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Faults of frames on a bus. Each function returns a `Fault`, which changes a stream into another:
 
     stream.through(faults.drop(joint=2, cycles=range(100, 103)), faults.late(message="rates", cycles=[200]))

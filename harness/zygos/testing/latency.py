@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """How long a device takes from a SYNC to its answer, by the kernel's time stamps of the frames on the bus.
 
 A SYNC closes a cycle. The device processes that cycle, solves if it is due, and then sends the telemetry frames of this

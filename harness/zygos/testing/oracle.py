@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The expected results of a device for given frames, by the numpy reference, which shares no code with C."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The plant of a test bench: simulates the arm; a separate process sends its frames on the bus."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Sends frames on a SocketCAN interface, as a separate process: python sender.py CHANNEL PACE PATIENCE < frames.
 
 Each frame on stdin is a double, its time in seconds, and a `struct can_frame`. Only the standard library is used, so

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Frames of a run, each with the cycle whose data it carries: a plant sends them, and faults change them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What zygos-node does with frames, in this process: the loop of the flight library, and when an estimate is due."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Properties of an arm that a URDF does not contain: motors, gears, springs, sensors, the bus (`answers.toml`).
 
 The keys are those of arm.toml and model.toml, whose readers check the values: [default] holds for every joint,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """URDF input and output: the serial chain of an arm with all links fixed to it, and inertials written back.
 
 ROS's own library, urdf_parser_py (package urdfdom_py), parses the file; docs/urdf.md describes the conversion.

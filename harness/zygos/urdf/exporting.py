@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The export of a model to a URDF: the bodies nearest to its parameters, and the chain to which they belong."""
 
 from __future__ import annotations

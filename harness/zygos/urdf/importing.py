@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """zygos' own files from a URDF chain: the model of its inertials, and the text of its arm file."""
 
 from __future__ import annotations

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: MIT
 """Display of the arm of a run in three dimensions."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The arm of a recorded run moving in space: still pictures in a PNG, or a page that any browser can play."""
 
 from __future__ import annotations

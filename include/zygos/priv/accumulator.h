@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/accumulator.h: the energy rows, whose blocks overlap, in front of the store of their sums (store.h).
 ///
 /// Within an arc each row is [y, D] . x + constant = W with the same unknown constant. The outer products of

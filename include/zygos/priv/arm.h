@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/arm.h: the sums of one arm, and what a cycle does with them. zygos_t has one, which the calls of zygos.h
 /// handle; programs do not call what is declared here.
 ///

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/balance.h: forms one row of the energy balance for each instant.
 ///
 ///     work of the motors W_k = row_k . parameters + constant of the arc

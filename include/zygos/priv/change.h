@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/change.h: detects a change of the arm by comparing the newest arc with the running solution.
 ///
 /// The running solution x0 with its covariance C0 (guard.h) is compared with the solution x of the newest arc alone,

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/cycle.h: assembles frames into complete cycles.
 ///
 /// A SYNC opens a cycle and closes the one before. A cycle is complete when the angle and torque frames of each joint

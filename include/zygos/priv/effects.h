@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/effects.h: columns of the balance for effects beyond rigid bodies, rotors, linear springs and dampers.
 ///
 /// An effect with coefficient c adds c times its column to the left side of the balance. With the smoothed state of its

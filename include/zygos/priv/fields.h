@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/fields.h: the fields and the CRC of a frame, inline because each frame is read with them.
 
 #ifndef ZYGOS_PRIV_FIELDS_H

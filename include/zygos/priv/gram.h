@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/gram.h: sums of outer products, packed as lower triangle by rows, with their row sums.
 ///
 /// G 1 = sum holds up to rounding, unless memory was changed from outside. Other data are protected by a checksum.

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/guard.h: excludes arcs that contradict the estimate (outlier rejection).
 ///
 /// A single arc with a sensor that is stuck, a frame that repeats an old value or a torque that was not applied would

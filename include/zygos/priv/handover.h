@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/handover.h: copies the sums for a solution, a part in each cycle.
 ///
 /// What the rows of each cycle change is copied at one moment, which costs less than a row: the cut. All other sums of

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/impulse.h: forms one row of the motor impulse for each flexible joint and instant.
 ///
 ///     n_i int tau_i = row_k . parameters of joint i + constant of the arc

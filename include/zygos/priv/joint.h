@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/joint.h: rows of the joints' momentum over short increments.
 ///
 /// For the angle q_j of a link the generalised momentum is p_j = dT/dq'_j, and from t_a to t_b

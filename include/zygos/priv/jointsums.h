@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/jointsums.h: accumulates the normal equations of the joint rows in interleaved groups.
 ///
 /// The rows of all joints are added to one matrix. Each is divided by the standard deviation of its joint's torque

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/kinematics.h: computes rate vectors, and the columns of the bodies in the energy balance.
 ///
 /// The kinetic energy of an arm is the product of a constant symmetric matrix N with the Gram matrix of its rate

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/momentum.h: forms rows of the angular momentum of a free-floating arm, one for a planar arm and three in
 /// space.
 ///

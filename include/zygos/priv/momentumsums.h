@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/momentumsums.h: accumulates the normal equations of the momentum rows.
 ///
 /// The rows contain only the kinetic parameters and the rotors, and their right-hand side is zero; their sums are

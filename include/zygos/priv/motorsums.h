@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/motorsums.h: accumulates the normal equations of the motor impulse rows, a small set for each joint.
 ///
 /// The rows of a joint contain only its own parameters. Their sums are therefore separate from those of the energy rows

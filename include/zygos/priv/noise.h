@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/noise.h: the bias of the normal equations by the noise of the sensors.
 ///
 /// A row is computed from noisy angles and rates, and products of rows contain the square of that noise: it biases

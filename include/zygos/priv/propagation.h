@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/propagation.h: moves an arm with flexible joints over one SYNC period with the derivatives of the motion.
 ///
 /// The residual r(x, y; p) of the equations of motion is linear in the parameters p and in the accelerations y of base,

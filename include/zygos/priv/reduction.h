@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/reduction.h: reduces the columns of a row to the structurally independent ones.
 ///
 /// Some columns are linear combinations of others in every motion, because of the arm's geometry: axes that are

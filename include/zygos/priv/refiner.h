@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/refiner.h: a square-root filter for the state of an arm with flexible joints and its parameters.
 ///
 /// Rows of the energy balance need no model of how noise passes through the motion, but use a small part of what the

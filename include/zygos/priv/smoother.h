@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/smoother.h: a Savitzky-Golay filter with a fixed lag, which provides all angles and rates.
 ///
 /// A polynomial is fitted to the 2 M + 1 samples around instant k; its value and slope at k are the smoothed signal and

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/solver.h: solves the normal equations for parameters, standard deviations and a verdict.
 ///
 /// The columns are scaled to unit length, and the matrix is factorised by Cholesky with symmetric pivoting. Columns

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/store.h: the sums of energy, motor and momentum rows in blocks, in fixed memory and for any duration.
 ///
 /// A block has one or more matrices, each the sum of z z^T of rows of one length with its row sums: one for each joint,

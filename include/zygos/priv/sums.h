@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/sums.h: the sums of all rows of one arm, with what tells how to read them. The state of an arm has one
 /// (arm.h), and a solution works on another one, which zygos_arm_take() copies as a whole and handover.h in parts.
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/tables.h: verifies the configuration and what follows from it, all at once or by a part in each cycle.
 
 #ifndef ZYGOS_TABLES_H

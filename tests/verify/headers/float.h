@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #define DBL_MANT_DIG 53
 #define DBL_MAX_EXP 1024
 #define DBL_EPSILON 2.220446049250313e-16

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The few system headers of the library, small enough for a parser that knows no extensions of a compiler. */
 typedef signed char int8_t;
 typedef unsigned char uint8_t;

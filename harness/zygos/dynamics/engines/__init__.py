@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Equations of motion of independent engines: an arm's bodies in Pinocchio or in MuJoCo.
 
 Both are built only from the `[[body]]` and `[[joint]]` of a model file, without base parameters and without any formula

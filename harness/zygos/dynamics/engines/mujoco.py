@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The arm in MuJoCo: bodies on hinges, a tendon for each spring, and a constraint force for a rigid gear.
 
 A fixed tendon of length theta - q is spring and damper of a flexible joint. MuJoCo's own equality constraints are

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The arm in Pinocchio: a free flyer or a fixed base, links and rotors as bodies on revolute joints.
 
 A gear is a constant matrix G from the rates u = (base, qd, thetad of flexible joints) to Pinocchio's v; a rigid joint

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What passes for an effect because smoother and quadrature err alike in all runs: the twin of the model that was found
 shows it as well."""
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What `zygos explain` tries at the joints of an arm on the ground."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """When something changed on an arm on the ground: friction, the offset of a torque, or the bodies by a payload.
 
 A change multiplies columns by a step from a block of time on, so that every candidate and every instant between two

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The sums of several runs over all columns that are tried, with what the simulation says of them taken away."""
 
 from __future__ import annotations

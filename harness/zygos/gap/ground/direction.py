@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Whether a constant torque is an offset of its sensor or a Coulomb friction that differs between the directions.
 
 Both are the same while a joint moves. At rest the offset stays, and the difference of friction goes; a joint that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """From runs of an arm on the ground and a simulation to a verdict: what is missing, where, and how much."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Everything that an explained gap of an arm on the ground consists of."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Weighted least squares of a hypothesis on the sums of all runs, and the score of every column beside it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What the form of a law leaves open of its size, as `zygos.gap.form` has it, from the rows of joints.
 
 The size by least squares of the torque is compared with that by least squares of the increments. Smoother and

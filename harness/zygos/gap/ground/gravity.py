@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Whether gravity acts along another direction than the arm file says, or where it says that there is none."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The motion after which the effects that runs of an arm on the ground cannot tell apart can be told, ready to fly."""
 
 from __future__ import annotations

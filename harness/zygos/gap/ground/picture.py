@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A picture of a closed gap, as SVG: the torque of one joint of an untouched run, measured and predicted, and the
 energy that is predicted wrongly."""
 

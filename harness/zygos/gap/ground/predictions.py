@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The gap of an arm on the ground: how well torques and energies of untouched runs are predicted."""
 
 from __future__ import annotations

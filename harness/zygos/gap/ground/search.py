@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Forward selection of what a simulation lacks: each candidate must be significant, repeat on every run, and matter."""
 
 from __future__ import annotations

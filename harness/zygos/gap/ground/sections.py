@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The sections of an explained gap of an arm on the ground."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Sentences about the gap of an arm on the ground."""
 
 from __future__ import annotations

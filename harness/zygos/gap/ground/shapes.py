@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The shapes of the laws that were named, between those of the catalogue's grid, and what is open in them."""
 
 from __future__ import annotations

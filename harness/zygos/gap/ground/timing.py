@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Whether the torques act later or earlier than the arm file says, and the constants of motors whose currents are
 reported."""
 

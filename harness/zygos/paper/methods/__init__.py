@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The three methods of Nanos & Papadopoulos, over whole records in batch.
 
 Each module has estimate(arm, record, ...) -> (B, p) array in `arm.parameter_names` order, NaN where the method cannot

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Angular momentum conservation in batch: the paper's first method (docs/theory, "The other two methods").
 
 The momentum of the free-floating arm is a known constant h and linear in the inertias. Springs and dampers are internal

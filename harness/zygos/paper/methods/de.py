@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Differential equations in batch: the paper's second method (docs/theory, "The other two methods").
 
 The equations of motion are linear in the parameters. They need accelerations, which are computed as second differences

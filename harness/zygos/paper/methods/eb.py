@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Energy balance in batch, Nanos & Papadopoulos eqs. (37)-(39) with the errata of docs/paper.md.
 
 Rows are cumulative from a known start: the work of the motors since the start equals the change of kinetic and elastic
