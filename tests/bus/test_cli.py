@@ -33,10 +33,11 @@ from zygos.can import bus
 from zygos.cli import simulate as simulate_command
 from zygos.cli.live import line_of, table_of
 from zygos.demo import demonstration as demo
+from zygos.effects import effect
 from zygos.errors import ZygosError
 from zygos.estimation.remedies import remedy as remedy_of
 from zygos.estimation.watch import Watch
-from zygos.model.model import load_model
+from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
 from zygos.reference import compare as check
 from zygos.runs.samples import Samples
@@ -263,17 +264,31 @@ def test_listen(brief_recording: Path, tmp_path: Path) -> None:
     assert bus.read_log(tmp_path / "live.blf").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
 
 
-@pytest.mark.parametrize("law", ["applied_from_sync", "sampled"])
-def test_an_estimate_says_what_refines_it(
-    law: str, brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("effects", [(), ("cubic_stiffness",)])
+def test_an_estimate_says_for_each_value_which_it_is_and_why(
+    effects: tuple[str, ...], brief_recording: Path, tmp_path: Path
 ) -> None:
-    """Where a refinement knows the arm: not with torques that are sampled."""
-    text, arm = (EXAMPLE / "arm.toml").read_text(), tmp_path / "arm.toml"
-    arm.write_text(text.replace('torque_law = "applied_from_sync"', f'torque_law = "{law}"'))
-    run("estimate", brief_recording, "--arm", arm, "-o", tmp_path / "m.toml")
-    said = re.sub(r"\s+", " ", capsys.readouterr().out)
-    command = f"zygos refine {brief_recording} --arm {arm} -o BETTER.toml"
-    assert (command in said) == (law != "sampled")
+    """Refined, but not where the model has an effect that a refinement does not know."""
+    model, joint = load_model(EXAMPLE / "model.toml"), load_arm(EXAMPLE / "arm.toml").joints[0].name
+    save_model(replace(model, effects=tuple(effect(key, joint, 1.0) for key in effects)), tmp_path / "prior.toml")
+    out, written = tmp_path / "m.json", tmp_path / "m.toml"
+    assert run("estimate", brief_recording, "--model", tmp_path / "prior.toml", "-o", written, "--json", out) == 0
+    found = json.loads(out.read_text())
+    assert {one["source"] for one in found["values"]} == {"energy balance" if effects else "refined"}
+    assert found["refinement"]["published"] == (not effects)
+    assert all(("cubic_stiffness" in one["reason"]) == bool(effects) and one["reason"] for one in found["values"])
+    parameters = load_model(written).parameters
+    known = [one for one in found["values"] if one["name"] in parameters]
+    assert len(known) == 12 and [parameters[one["name"]].value for one in known] == [one["value"] for one in known]
+
+
+def test_energy_stops_before_the_refinement(brief_recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "m.json"
+    assert run("estimate", brief_recording, "-o", tmp_path / "m.toml", "--energy", "--json", out) == 0
+    found = json.loads(out.read_text())
+    assert "values" not in found and "refinement" not in found
+    written = load_model(tmp_path / "m.toml").parameters
+    assert [written[one["name"]].value for one in found["parameters"]] == [one["value"] for one in found["parameters"]]
 
 
 def test_what_listen_shows_while_it_listens(brief_recording: Path) -> None:

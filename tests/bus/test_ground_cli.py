@@ -179,6 +179,7 @@ def test_a_payload_and_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         (("--friction", "sticky"), "there is no 'sticky'"),
         (("--friction", "gain, gain"), "gain is named twice"),
         (("--since", "true.toml", "--doubtful"), "with --since"),
+        (("--energy",), "nothing is refined"),
         (("--flight", "--doubtful"), "only an estimate on the ground"),
         (("--validate", "nowhere.blf"), "nowhere.blf"),
     ],

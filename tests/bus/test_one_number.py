@@ -79,7 +79,8 @@ def test_an_estimate_has_one_value_and_one_interval(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = driven(tmp_path) if name == "ground" else flown(name, tmp_path)
-    said, content, page = answered("estimate", file, capsys, "-o", tmp_path / "m.toml")
+    stop = () if name == "ground" else ("--energy",)
+    said, content, page = answered("estimate", file, capsys, *stop, "-o", tmp_path / "m.toml")
     measured = load_run(file, tmp_path / "arm.toml")
     found = estimate_ground([measured]) if name == "ground" else estimate(measured)
     written = load_model(tmp_path / "m.toml")

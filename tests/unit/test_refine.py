@@ -24,6 +24,7 @@ from cli_support import run as command
 from refine_support import Case, plant, runs, scenario_of, score, zeros
 from runs_support import trajectory_of
 
+import zygos
 from zygos.arm import save_arm
 from zygos.can.run import Run, save_run
 from zygos.effects import effect
@@ -409,14 +410,18 @@ def test_a_refusal_writes_no_model() -> None:
     assert "Nothing is published" in answer.page
 
 
-def test_runs_that_are_too_long_for_the_memory_are_bad_input(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_of_runs_that_are_too_long_for_the_memory_the_beginning_is_refined(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    run = zygos.load_run(folder / "run.blf")
+    whole = refine_runs(run)
     monkeypatch.setattr(blocks, "MOST_BYTES", 1e6)
-    assert command("refine", folder / "run.blf", "-o", folder / "better.toml") == 2
-    message = " ".join(capsys.readouterr().err.split())
-    assert "too long to be refined together" in message and "remedy: refine from" in message
-    assert not (folder / "better.toml").exists()
+    found = refine_runs(run)
+    assert whole.part == "" and found.part.startswith("the first ")
+    assert 100 < found.record.cycles < whole.record.cycles
+    assert found.record.cycles + found.record.left_out == whole.record.cycles + whole.record.left_out
+    assert found.published and np.all(np.abs(found.value - TRUTH.base_values(run.arm)) < 5.0 * found.sigma)
+    assert np.all(found.sigma > whole.sigma)
 
 
 def test_a_model_with_other_effects_is_bad_input(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,8 +19,8 @@ from zygos.cli.options import ArmFile, Details, Json, Report, Runs, cuts
 from zygos.cli.shared import Wanted, check_model_name, not_whole, origin, read_runs, warn
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
-from zygos.estimation.estimate import Estimation, estimate
-from zygos.files.output import check_outputs, named
+from zygos.estimation.estimate import estimate
+from zygos.files.output import check_outputs
 from zygos.files.progress import progress
 from zygos.ground.estimate import estimate_ground
 from zygos.ground.payload import payload
@@ -72,6 +72,7 @@ def estimate_runs(
     command: Sequence[str],
     flight: bool,
     ground: GroundOptions,
+    energy: bool = False,
 ) -> None:
     """Estimate from recorded runs; see `zygos estimate --help`."""
     if ground.simulation is not None:
@@ -84,6 +85,10 @@ def estimate_runs(
     arm = load_arm(chosen)
     prior = load_model(model_file) if model_file else None
     on_ground = arm.grounded and not flight
+    if on_ground and energy:
+        raise ZygosError(
+            f"--energy: arm {arm.name} is estimated on the ground, where nothing is refined; remedy: leave it out"
+        )
     recorded = read_runs([*runs, *ground.validate], arm_file, chosen, arm, own_noise=on_ground)
     learned, checked = recorded[: len(runs)], recorded[len(runs) :]
     files = [*(("run", path) for path in runs), ("arm", chosen), *(("validated", path) for path in ground.validate)]
@@ -120,7 +125,14 @@ def estimate_runs(
         answer = estimate(
             run, model=prior, progress=lambda share: bar.update(task, completed=share), trace=wanted.report is not None
         )
-    finish_estimate(answer, out, origin(run), wanted, source, hint=_hint(answer, runs, arm_file))
+    best = None
+    if not energy:
+        from zygos.cli.best import best_of  # noqa: PLC0415  (a refinement is slow to load)
+
+        with progress() as bar:
+            task = bar.add_task("refining", total=1.0)
+            best = best_of(answer, learned, prior, lambda share: bar.update(task, completed=share))
+    finish_estimate(answer, out, origin(run), wanted, source, best)
     not_whole(*(one.damage for one in learned))
 
 
@@ -189,23 +201,6 @@ def _correct(
         own = estimated_in(robot, found, checked, out.parent)
     finish_ground(found, out, wanted, partial(provenance, command, files), own)
     not_whole(*(run.damage for run in recorded))
-
-
-def _hint(found: Estimation, runs: Sequence[Path], arm_file: Path | None) -> str:
-    """How a valid estimate becomes better, where a refinement knows the arm and its effects; otherwise empty."""
-    if found.validity != "valid":
-        return ""
-    from zygos.refinement.refine import check_supported  # noqa: PLC0415  (of use here alone, and slow to load)
-
-    try:
-        check_supported(found.watch.flight.arm, found.watch.flight.effects)
-    except ZygosError:
-        return ""
-    given = " ".join([*map(named, runs), *([] if arm_file is None else ["--arm", named(arm_file)])])
-    return (
-        f"`zygos refine {given} -o BETTER.toml` uses the equations of motion, too: where the model is complete, the "
-        "intervals become many times narrower."
-    )
 
 
 def _payload(
@@ -312,6 +307,9 @@ def command(
     flight: Annotated[
         bool, typer.Option("--flight", help="Use the C library for flight also where the arm stands on the ground.")
     ] = False,
+    energy: Annotated[
+        bool, typer.Option("--energy", help="Stop at the values of the energy balance; do not refine them.")
+    ] = False,
     json: Json = None,
     report: Report = None,
     details: Details = False,
@@ -321,6 +319,12 @@ def command(
     An arm that floats or has flexible joints is estimated with the C library for flight; the runs are fed to it one
     after the other. An arm on a fixed base with rigid joints is estimated on the ground, by least squares of joint
     rows, with a constant offset of each torque in each run; --flight uses the C library for it as well.
+
+    The values of the energy balance are then refined with the equations of motion, where the arm and its effects allow
+    it. Refined values are published only if the readings speak for the model: `zygos refine --help` has the rules.
+    Otherwise the values are those of the energy balance. The answer says for each value which it is, and why.
+    --energy stops before the refinement. A refinement takes at most 1 GB of memory: of longer runs it uses the
+    beginning, and says so.
 
     Writes a model.toml with value and sigma of each parameter. A parameter that the motion does not determine is left
     out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are estimated
@@ -349,4 +353,5 @@ def command(
         context.obj or ["estimate"],
         flight,
         GroundOptions(validate or (), friction, doubtful, since, simulation),
+        energy,
     )

@@ -19,28 +19,39 @@ from zygos.report.answer import Answer
 from zygos.report.provenance import Provenance
 
 if TYPE_CHECKING:
+    from zygos.cli.best import Best
     from zygos.simulators.explain import InSimulator
 
 Source = Callable[[], Provenance]
 
 
 def finish_estimate(
-    found: Estimation, out: Path, heading: Mapping[str, Any], wanted: Wanted, source: Source, hint: str = ""
+    found: Estimation,
+    out: Path,
+    heading: Mapping[str, Any],
+    wanted: Wanted,
+    source: Source,
+    best: Best | None = None,
 ) -> None:
     """End an estimate of the flight library. Raises Undecided if it is doubtful or refused.
 
-    heading: what the JSON begins with; source: what the estimate was made from; hint: how to go on. For a page it must
-    have kept its trace.
+    heading: what the JSON begins with; source: what the estimate was made from; best: what its refinement came to, or
+    None where nobody asked. For a page it must have kept its trace.
     """
     where = _where(found.validity, out)
     damage = heading.get("damage") or ()
+
+    def answer(draw: bool) -> Answer:
+        of_energy = sections.answer_of(found, written=where, damage=damage, draw=draw)
+        return of_energy if best is None else best.answer(of_energy)
+
     deliver(
         wanted,
-        lambda draw: sections.answer_of(found, written=where, hint=hint, damage=damage, draw=draw),
-        lambda: found.as_dict(heading),
+        answer,
+        lambda: {**found.as_dict(heading), **({} if best is None else best.as_dict())},
         source,
         out,
-        save=_saved(found.validity, found.to_model, out),
+        save=_saved(found.validity, found.to_model if best is None else lambda: best.model, out),
     )
     if found.change:
         warn([found.change])

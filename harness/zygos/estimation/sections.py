@@ -90,12 +90,10 @@ _READING = (
 )
 
 
-def answer_of(
-    found: Estimation, *, written: str = "", hint: str = "", damage: Sequence[str] = (), draw: bool = False
-) -> Answer:
+def answer_of(found: Estimation, *, written: str = "", damage: Sequence[str] = (), draw: bool = False) -> Answer:
     """The answer of an estimate.
 
-    written: what became of the model, in words. hint: how to go on. damage: of the run's log. draw: with charts, for
+    written: what became of the model, in words. damage: of the run's log. draw: with charts, for
     which the estimate must have kept its trace.
     """
     result, watch = found.result, found.watch
@@ -123,8 +121,6 @@ def answer_of(
     noise = about_noise(result)
     if noise:
         lead.append(Text(f"{noise.replace('noise: ', 'About the noise: ', 1)}."))
-    if hint:
-        lead.append(Text(hint, "note", "Better"))
     facts = Facts(
         (
             Fact("input", "frames" if found.run is None or found.run.frames is not None else "table of cycles"),

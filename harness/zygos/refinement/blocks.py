@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.effects import SLOWEST_RATE
-from zygos.errors import ZygosError
 from zygos.native.propagation import Propagation
 from zygos.refinement.motion import FlexibleMotion, base_rates
 from zygos.refinement.record import Record, start_of
@@ -40,7 +39,7 @@ _STEADY = 1e-6
 """Change of a motor's rate in a cycle below which it is constant, as a share of `SLOWEST_RATE`."""
 _TOGETHER = 250
 """Blocks whose derivatives are computed together; more need more memory."""
-MOST_BYTES = 4e9
+MOST_BYTES = 1e9
 """Memory that the derivatives of a record may take: they grow with its length."""
 _APART_S = 0.025
 """Time to both sides of a SYNC over which the first guess takes rates from angles, s."""
@@ -171,19 +170,15 @@ def blocks_of(record: Record) -> Blocks:
     )  # fmt: skip
 
 
-def check_size(blocks: Blocks, parameters: int) -> None:
-    """Errors: ZygosError where the derivatives of so many parameters would not fit into MOST_BYTES."""
+def within_memory(blocks: Blocks, parameters: int) -> Blocks:
+    """The blocks whose derivatives by so many parameters fit into MOST_BYTES: those at the beginning, at least one."""
     (count, moving), n = blocks.states.shape, blocks.record.arm.n
     rows = blocks.value.shape[2] * blocks.kept.shape[2] + moving
     columns = moving + parameters + 5 * n + 1 + blocks.shape.shape[1] * n
-    taken = 2.0 * 8.0 * count * rows * columns  # twice, while parts are put together
-    if taken > MOST_BYTES:
-        minutes = count * blocks.cycles * blocks.record.arm.period_s / 60.0
-        raise ZygosError(
-            f"the runs are too long to be refined together: {minutes:.3g} minutes would take {1e-9 * taken:.2g} GB of "
-            f"memory; remedy: refine from {minutes * MOST_BYTES / taken:.2g} minutes or less, for example by giving "
-            "fewer runs"
-        )
+    taken = 2.0 * 8.0 * rows * columns  # of a block; twice, while parts are put together
+    if count * taken <= MOST_BYTES:
+        return blocks
+    return blocks_of(blocks.record.beginning(max(1, int(MOST_BYTES / taken)) * blocks.cycles))
 
 
 def _guess(arm: Arm, width: int, read: NDArray[np.int64], value: Floats, at: NDArray[np.int64]) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,29 @@ class Record:
     """SYNCs inside pieces whose readings are missing."""
     left_out: int
     """Usable readings that are in no piece."""
+
+    def beginning(self, syncs: int) -> Record:
+        """The pieces of the first so many SYNCs; the readings of all others are left out."""
+        pieces: list[Piece] = []
+        for piece in self.pieces:
+            room = syncs - sum(len(one.read) for one in pieces)
+            if room < max(_SHORTEST, 4 * _apart(self.arm)) and pieces:
+                break
+            end = int(np.flatnonzero(piece.read[: max(room, _SHORTEST)])[-1]) + 1
+            pieces.append(
+                replace(
+                    piece,
+                    read=piece.read[:end],
+                    q=piece.q[:end],
+                    theta=piece.theta[:end],
+                    omega=piece.omega[:end],
+                    tau=piece.tau[: end - 1],
+                    lost=piece.lost[: end - 1],
+                )
+            )
+        used = sum(int(piece.read.sum()) for piece in pieces)
+        lost = sum(int((~piece.read).sum()) for piece in pieces)
+        return Record(self.arm, tuple(pieces), used, lost, self.cycles + self.left_out - used)
 
 
 def record_of(arm: Arm, runs: Sequence[Run]) -> Record:

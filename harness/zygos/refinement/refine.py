@@ -29,6 +29,7 @@ from zygos.model.model import Model, Quantity
 from zygos.native.flight import CHANNELS
 from zygos.native.refiner import NORMAL_95
 from zygos.quantiles import chi_square_isf, normal_isf
+from zygos.refinement.blocks import blocks_of, within_memory
 from zygos.refinement.bound import Bound, bound_from
 from zygos.refinement.follow import Pass, triangle_of
 from zygos.refinement.motion import FlexibleMotion
@@ -106,6 +107,8 @@ class Refinement:
     rules: tuple[Rule, ...] = ()
     runs: tuple[Run, ...] = ()
     """What it was made from."""
+    shortened: bool = False
+    """Whether the record is only the beginning of the runs, which the memory holds."""
 
     @property
     def value(self) -> Floats:
@@ -131,6 +134,14 @@ class Refinement:
     def published(self) -> bool:
         """Whether all rules hold."""
         return all(rule.holds for rule in self.rules)
+
+    @property
+    def part(self) -> str:
+        """Of what the values are, where the memory was too small for all, such as the first 20 of 60 minutes; otherwise
+        empty."""
+        whole = (self.record.cycles + self.record.left_out) * self.arm.period_s / 60.0
+        used = self.record.cycles * self.arm.period_s / 60.0
+        return f"the first {number(used, 3)} of {number(whole, 3)} minutes" if self.shortened else ""
 
     @property
     def reason(self) -> str:
@@ -191,13 +202,19 @@ class Refinement:
 
 
 def refine_runs(
-    runs: Run | Sequence[Run], *, model: Model | None = None, progress: Progress = lambda share: None
+    runs: Run | Sequence[Run],
+    *,
+    model: Model | None = None,
+    energy: Estimation | None = None,
+    progress: Progress = lambda share: None,
 ) -> Refinement:
     """Estimate the parameters of an arm with flexible joints from all that the readings of one or several runs hold.
 
     `Refinement.published` says whether the values can be trusted; where it is false, `reason` says which rules failed.
     model: its Coulomb frictions of motors and offsets of torques are estimated as well, and its values are the start of
-    parameters that energy rows do not determine. progress is called now and then with the share that is done.
+    parameters that energy rows do not determine. energy: the estimate from energy rows of the same runs and model,
+    where there is one already. Of runs whose derivatives would take more than 1 GB, the beginning is refined (`part`).
+    progress is called now and then with the share that is done.
 
     Errors: ZygosError where the arm or the model has what a refinement does not know; Undecided where energy rows give
     no start, or the values do not settle.
@@ -209,11 +226,14 @@ def refine_runs(
     check_supported(arm, () if model is None else model.effects)
     named = () if model is None else tuple(one for one in model.effects if one.kind.key in LEARNED)
     effects = (*(one for one in named if not one.kind.gain), *gains(arm))
-    record = record_of(arm, runs)
-    energy = estimate(joined(runs), model=model)
+    whole = record_of(arm, runs)
+    blocks = within_memory(blocks_of(whole), len(arm.parameters)) if whole.pieces else None
+    record = whole if blocks is None else blocks.record
+    energy = estimate(joined(runs), model=model) if energy is None else energy
     progress(0.02)
     start, around, beside = begin(arm, energy, model, effects, record)
-    search = Search(arm, record, start, around, beside, lambda share: progress(0.02 + 0.96 * share))
+    assert blocks is not None  # `begin` refuses a record without pieces
+    search = Search(arm, blocks, start, around, beside, lambda share: progress(0.02 + 0.96 * share))
     found = search.run()
     final, levels = found.final, search.levels(found.level)
     motion = FlexibleMotion(arm, final.value)
@@ -239,7 +259,7 @@ def refine_runs(
         rivals(arm, final, found.prior),
     )
     progress(1.0)
-    return replace(answer, rules=_rules(answer), runs=runs)
+    return replace(answer, rules=_rules(answer), runs=runs, shortened=record is not whole)
 
 
 def _limit(motion: FlexibleMotion, record: Record, found: Found, levels: Sequence[float]) -> Bound | None:

@@ -15,11 +15,10 @@ from zygos import limits
 from zygos.arm import Arm
 from zygos.errors import Undecided, ZygosError
 from zygos.native.propagation import Propagation
-from zygos.refinement.blocks import Linear, blocks_of, check_size, linearise
+from zygos.refinement.blocks import Blocks, Linear, linearise
 from zygos.refinement.bound import steps_of
 from zygos.refinement.follow import Pass, Prior, Start, follow, triangle_of
 from zygos.refinement.motion import FlexibleMotion
-from zygos.refinement.record import Record
 from zygos.refinement.rivals import EXPECTED, typical_torque
 
 Floats = NDArray[np.float64]
@@ -66,11 +65,11 @@ class Search:
     """Solutions for a record at several levels of torque noise. A level is that of the joint with the most."""
 
     def __init__(
-        self, arm: Arm, record: Record, start: Start, around: Floats, beside: Floats, progress: Progress
+        self, arm: Arm, blocks: Blocks, start: Start, around: Floats, beside: Floats, progress: Progress
     ) -> None:
         """Begin at a start. around: (p, p) covariance within which a solution stays around the parameters it begins
         with, SI units; beside: (5N,) deviations of the constants beside them. Nothing is computed yet."""
-        self.arm, self.record, self.start, self.around, self.beside = arm, record, start, around, beside
+        self.arm, record, self.start, self.around, self.beside = arm, blocks.record, start, around, beside
         self.progress, self.tried = progress, dict[float, Pass]()
         declared = np.array([joint.torque_relative_sigma for joint in arm.joints])
         self.declared = float(declared.max())
@@ -79,9 +78,7 @@ class Search:
             FlexibleMotion(arm, start.value), np.concatenate([piece.q[piece.read] for piece in record.pieces])
         )
         self.propagation = Propagation(arm, steps, friction=True)
-        self.blocks = blocks_of(record)
-        check_size(self.blocks, len(start.value))
-        self.states = self.blocks.states
+        self.blocks, self.states = blocks, blocks.states
         self.typical = typical_torque(record)
         self.linear: Linear
 

@@ -73,6 +73,7 @@ def answer_of(found: Refinement, *, written: str = "", damage: Sequence[str] = (
     charts."""
     lead = [Text(f"Model: {written}.", "lead")] if written else []
     lead += [] if found.published else [Text(REMEDY, "note", "Remedy")]
+    lead += [Text(f"Only {found.part} are refined, which take 1 GB of memory.", "note", "Part")] if found.part else []
     lead += [Text(text, "note", "Warning") for text in damage]
     pictures, drawn = _pictures(found) if draw else ((), NOTHING_DRAWN)
     return Answer(

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """An MJCF from a URDF: the same bodies, joints and geometry, with motors and a place for the inertia of the rotors."""
 
 from __future__ import annotations

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""The values that `zygos estimate` publishes: refined ones where all rules hold, otherwise those of energy rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from zygos.can.run import Run
+from zygos.errors import Undecided, ZygosError
+from zygos.estimation.estimate import Estimation
+from zygos.model.model import Model
+from zygos.native.refiner import NORMAL_95
+from zygos.refinement.refine import Refinement, check_supported, refine_runs
+from zygos.report.answer import Answer, Text, section, table
+from zygos.report.figures import down_to, figure, listed, unit_of
+
+
+@dataclass(frozen=True, eq=False)
+class Best:
+    """An estimate from energy rows, and what its refinement came to."""
+
+    energy: Estimation
+    refined: Refinement | None
+    """None where it did not begin or did not end."""
+    reason: str
+    """Why the values are those of energy rows; empty where they are refined."""
+
+    @property
+    def model(self) -> Model:
+        """The model to write. Errors: Undecided where the estimate was refused."""
+        return self.energy.to_model() if self.reason or self.refined is None else self.refined.to_model()
+
+    def values(self) -> list[dict[str, Any]]:
+        """What is published of each parameter, from where, and why: the entry `values` of the JSON."""
+        found = self.energy.result
+        listed_values = zip(
+            found.names, found.units, found.value.tolist(), found.sigma.tolist(), found.half95.tolist(), strict=True
+        )
+        out = [
+            {"name": name, "unit": unit, "value": value, "sigma": sigma, "half95": half,
+             "source": "energy balance", "reason": self.reason}
+            for name, unit, value, sigma, half in listed_values
+        ]  # fmt: skip
+        if self.reason or self.refined is None:
+            return out
+        better = self.refined
+        columns = {
+            name: (float(value), float(sigma))
+            for name, value, sigma in zip(better.names, better.value, better.sigma, strict=True)
+        } | {one.column(better.arm): (one.value, one.sigma) for one in better.effects}
+        for entry in out:
+            if entry["name"] in columns:
+                value, sigma = columns[entry["name"]]
+                entry |= {
+                    "value": value,
+                    "sigma": sigma,
+                    "half95": NORMAL_95 * sigma,
+                    "source": "refined",
+                    "reason": "all rules of the refinement hold",
+                }
+            else:
+                entry["reason"] = "the refinement does not estimate it"
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entries that the JSON of an estimate has besides those of the energy rows."""
+        found = self.refined
+        return {
+            "refinement": {
+                "published": not self.reason,
+                "reason": self.reason or None,
+                "cycles": None if found is None else found.record.cycles,
+                "left_out": None if found is None else found.record.left_out,
+            },
+            "values": self.values(),
+        }
+
+    def answer(self, energy: Answer) -> Answer:
+        """The answer of the energy rows, with the published values in front."""
+        values = self.values()
+        if self.reason:
+            said = f"The values are those of the energy balance, not refined: {self.reason}."
+        else:
+            assert self.refined is not None
+            said = "The values are refined: all rules of the refinement hold"
+            part = self.refined.part
+            said += f". Only {part} were refined, to stay within the memory of a refinement." if part else "."
+        rows = [
+            (one["name"], down_to(one["value"], one["sigma"]), figure(one["half95"], 2), unit_of(one["unit"]),
+             one["source"], one["reason"])
+            for one in values
+            if one["value"] == one["value"]
+        ]  # fmt: skip
+        part_of_page = section(
+            "published",
+            "Published values",
+            Text(said),
+            table("parameter::name | value::main | ± 95 % | unit::unit | from::text | why::wrap", rows),
+        )
+        shown = listed(*([one[key] for one in values] for key in ("name", "unit", "value", "half95")))
+        return replace(
+            energy,
+            lead=(*energy.lead, Text(said, "note", "Values")),
+            sections=(*(() if part_of_page is None else (part_of_page,)), *energy.sections),
+            brief=shown,
+        )
+
+
+def best_of(energy: Estimation, runs: Sequence[Run], model: Model | None, progress: Callable[[float], None]) -> Best:
+    """Try to refine an estimate from energy rows of the same runs."""
+    if energy.validity not in ("valid", "partial"):
+        return Best(energy, None, f"the estimate from energy rows is {energy.validity}")
+    try:
+        check_supported(energy.watch.flight.arm, energy.watch.flight.effects)
+        refined = refine_runs(runs, model=model, energy=energy, progress=progress)
+    except (ZygosError, Undecided) as left:
+        return Best(energy, None, str(left).partition("; remedy:")[0])
+    return Best(energy, refined, refined.reason)
