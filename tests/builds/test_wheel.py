@@ -187,7 +187,7 @@ def test_simulate_estimate_and_check(python: Path, elsewhere: Path) -> None:
     assert json.loads((elsewhere / "out" / "model.json").read_text())["validity"] == "valid"
     learned = tomllib.loads((elsewhere / "out" / "model.toml").read_text())["parameters"]
     assert learned["k2"]["value"] == pytest.approx(1000.0, rel=0.01)
-    assert "differs" not in done([program(python), "check", "out/run.blf"], elsewhere)
+    assert "differs" not in done([program(python), "self-test", "out/run.blf"], elsewhere)
 
 
 def test_the_paper(python: Path, elsewhere: Path) -> None:
@@ -197,7 +197,7 @@ def test_the_paper(python: Path, elsewhere: Path) -> None:
 
 
 def test_a_gap_is_explained(python: Path, elsewhere: Path) -> None:
-    arguments = "--simulation gap/cad.toml --measured gap/demo/a.blf --validate gap/demo/c.blf"
+    arguments = "gap/demo/a.blf --simulation gap/cad.toml --validate gap/demo/c.blf"
     arguments += " --arm gap/arm.toml -o out/new.toml --report out/gap.html --json out/gap.json"
     done([program(python), "explain", *arguments.split()], elsewhere)
     found = json.loads((elsewhere / "out" / "gap.json").read_text())

@@ -263,7 +263,7 @@ def recorded(arm: Arm, noisy: Trajectory, tmp_path_factory: pytest.TempPathFacto
 def test_a_log_is_counted_bit_by_bit(recorded: tuple[Log, Path], arm: Arm, tmp_path: Path) -> None:
     frames, path = recorded
     numbers = tmp_path / "load.json"
-    assert run("bus-load", "--arm", EXAMPLE / "arm.toml", "--run", path, "--bitrate", 125000, "--json", numbers) == 0
+    assert run("bus-load", path, "--arm", EXAMPLE / "arm.toml", "--bitrate", 125000, "--json", numbers) == 0
     content = json.loads(numbers.read_text())
     found = content["run"]
     inside = frames[:-1]  # the last SYNC only closes a cycle
@@ -362,7 +362,7 @@ def test_uncounted_frames_are_told(
             if message.arbitration_id == 0x182:
                 error = can.Message(timestamp=message.timestamp, is_error_frame=True, channel=0)
                 logger.on_message_received(error)
-    assert run("bus-load", "--arm", EXAMPLE / "arm.toml", "--run", path, "--json", tmp_path / "load.json") == 0
+    assert run("bus-load", path, "--arm", EXAMPLE / "arm.toml", "--json", tmp_path / "load.json") == 0
     assert "error or CAN FD frames" in capsys.readouterr().err
     found = json.loads((tmp_path / "load.json").read_text())["run"]
     assert (found["uncounted"], found["frames"][OTHERS]) == (5, 0)
@@ -392,7 +392,7 @@ def test_a_log_without_syncs_is_refused(
 ) -> None:
     frames = recorded[0]
     bus.write_log(tmp_path / "run.blf", frames[frames["id"] != 0x080], 0.05)
-    assert run("bus-load", "--arm", EXAMPLE / "arm.toml", "--run", tmp_path / "run.blf") == 2
+    assert run("bus-load", tmp_path / "run.blf", "--arm", EXAMPLE / "arm.toml") == 2
     assert "no two different SYNCs" in capsys.readouterr().err
 
 

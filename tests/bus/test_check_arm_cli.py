@@ -41,7 +41,7 @@ def logged(path: Path, arm: Arm, cycles: Cycles) -> Path:
 
 
 def answer(tmp_path: Path, arm_file: Path, log: Path, code: int) -> dict[str, Any]:
-    assert run("check-arm", arm_file, log, "--json", tmp_path / "a.json") == code
+    assert run("check-arm", log, "--arm", arm_file, "--json", tmp_path / "a.json") == code
     content: dict[str, Any] = json.loads((tmp_path / "a.json").read_text())
     return content
 
@@ -58,7 +58,7 @@ def test_a_clean_log_is_clean(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: 
     assert [s["verdict"] for s in content["signals"]] == ["ok"] * 9
     assert all(s["share"] == 1.0 for s in content["signals"])
     assert "1,200 cycles" in capsys.readouterr().out
-    assert run("check-arm", ARM, tmp_path / "run.blf", "--details") == 0
+    assert run("check-arm", tmp_path / "run.blf", "--arm", ARM, "--details") == 0
     assert "shoulder link angle" in capsys.readouterr().out
 
 
@@ -79,7 +79,7 @@ def test_a_wrong_arm_file_is_told_what_to_write(
 @pytest.mark.slow
 def test_json_alone_on_stdout(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]) -> None:
     log = logged(tmp_path / "run.blf", arm, cycles)
-    assert run("check-arm", ARM, log, "--json", "-") == 0
+    assert run("check-arm", log, "--arm", ARM, "--json", "-") == 0
     assert json.loads(capsys.readouterr().out)["arm"] == "lively"
 
 
@@ -167,7 +167,7 @@ def test_a_bad_table_is_refused(
 ) -> None:
     fields = {name: value for name, value in {**asdict(cycles), **spoil}.items() if value is not None}
     np.savez(tmp_path / "run.npz", **fields)
-    assert run("check-arm", ARM, tmp_path / "run.npz", "--json", tmp_path / "a.json") == 2
+    assert run("check-arm", tmp_path / "run.npz", "--arm", ARM, "--json", tmp_path / "a.json") == 2
     said = capsys.readouterr().err
     assert message in said.replace("\n", " ")
     assert "; remedy:" in said.replace("\n", " ")
@@ -217,11 +217,11 @@ def test_swapped_arguments_are_said_to_be_swapped(
     tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = logged(tmp_path / "run.blf", arm, cycles)
-    assert run("check-arm", log, ARM) == 2
+    assert run("check-arm", log, "--arm", log) == 2
     said = capsys.readouterr().err
     assert (
         "run.blf is a recording, in the place of the arm file: are the two swapped? "
-        "remedy: `zygos check-arm ARM.toml RUN`" in said
+        "remedy: `zygos check-arm RUN --arm ARM.toml`" in said
     )
     for command in (("estimate", ARM, "-o", tmp_path / "m.toml"), ("predict", ARM, "--model", EXAMPLE / "model.toml")):
         assert run(*command) == 2
@@ -232,9 +232,9 @@ def test_swapped_arguments_are_said_to_be_swapped(
     assert run("convert", tmp_path / "map.toml", "--map", log, "--arm", ARM, "-o", tmp_path / "out" / "run.npz") == 2
     assert "`zygos convert RECORDING --map MAP.toml --arm ARM.toml`" in capsys.readouterr().err
     for arguments, wrong in (
-        (("check-arm", tmp_path, log), "is a folder; remedy: give the arm file in it"),
+        (("check-arm", log, "--arm", tmp_path), "is a folder; remedy: give the arm file in it"),
         (
-            ("check-arm", EXAMPLE / "model.toml", log),
+            ("check-arm", log, "--arm", EXAMPLE / "model.toml"),
             "model.toml: is a model, not an arm file; remedy: give an arm file",
         ),
         (
@@ -256,11 +256,11 @@ def test_other_bad_input_is_refused(
     (tmp_path / "broken.npz").write_bytes(b"no archive")
     before = log.read_bytes()
     for arguments in (
-        (ARM, tmp_path / "none.npz"),
-        (ARM, tmp_path / "none.blf"),
-        (ARM, tmp_path / "broken.npz"),
-        (tmp_path / "none.toml", log),
-        (ARM, log, "--json", log),
+        (tmp_path / "none.npz", "--arm", ARM),
+        (tmp_path / "none.blf", "--arm", ARM),
+        (tmp_path / "broken.npz", "--arm", ARM),
+        (log, "--arm", tmp_path / "none.toml"),
+        (log, "--arm", ARM, "--json", log),
     ):
         assert run("check-arm", *arguments) == 2
         assert "remedy" in capsys.readouterr().err
@@ -271,7 +271,9 @@ def test_other_bad_input_is_refused(
 def test_the_manual_runs_from_a_fresh_clone(tmp_path: Path) -> None:
     """Every command of docs/check-arm.md, with nothing beside the checkout; the last one finds what was done to it."""
     text = (ROOT / "docs" / "check-arm.md").read_text()
-    commands = [line.strip() for line in re.findall(r"^    (.*zygos .*)$", text, re.M) if "ARM.toml RUN" not in line]
+    commands = [
+        line.strip() for line in re.findall(r"^    (.*zygos .*)$", text, re.M) if "RUN --arm ARM.toml" not in line
+    ]
     assert len(commands) == 3
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}

@@ -133,7 +133,7 @@ def test_effects_of_a_model_are_learned(recording: Path, tmp_path: Path, capsys:
     assert tuple(others) == load_model(plant).effects[1:]
     last = json.loads(numbers.read_text())["parameters"][-1]
     assert (last["name"], last["unit"], last["value"]) == ("motor_coulomb2", "Nm", friction.value)
-    assert run("check", log, "--model", plant, "--json", numbers) == 0
+    assert run("self-test", log, "--model", plant, "--json", numbers) == 0
     rooms = {room["room"]: room for room in json.loads(numbers.read_text())["rooms"]}
     assert rooms["solution"]["compared"] == 13
     # the model that was learned is one to begin with
@@ -149,7 +149,7 @@ def test_an_arm_file_that_does_not_vouch_for_a_zero_gets_an_offset(recording: Pa
     before, after = (EXAMPLE / "arm.toml").read_text().rsplit(off, 1)
     out, log = tmp_path / "m.toml", recording
     arm.write_text(f"{before}zero_rad = 0.02, zero_sigma_rad = 0.02{after}")
-    assert run("check", log, "--arm", arm) == 0
+    assert run("self-test", log, "--arm", arm) == 0
     run("estimate", log, "--arm", arm, "-o", out)
     (found,) = load_model(out).effects
     assert (found.kind.key, found.joint, found.source) == ("spring_offset", "elbow", "zygos")
@@ -178,7 +178,7 @@ def test_a_friction_that_noise_makes_negative_is_written_as_none(brief_recording
     assert written == {True, False}
 
 
-@pytest.mark.parametrize("command", ["estimate", "check"])
+@pytest.mark.parametrize("command", ["estimate", "self-test"])
 def test_a_rotor_that_does_not_couple_is_refused(
     command: str, brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -234,7 +234,7 @@ def test_estimate_of_too_short_a_run_is_undecided(
 
 @pytest.mark.slow
 def test_check(recording: Path, tmp_path: Path) -> None:
-    assert run("check", recording, "--json", tmp_path / "check.json") == 0
+    assert run("self-test", recording, "--json", tmp_path / "check.json") == 0
     rooms = {room["room"]: room for room in json.loads((tmp_path / "check.json").read_text())["rooms"]}
     assert all(room["equal"] for room in rooms.values())
     assert rooms["balance"]["compared"] > 10_000
@@ -248,7 +248,7 @@ def test_check_says_when_c_and_numpy_differ(brief_recording: Path, monkeypatch: 
         return replace(straight, qd=straight.qd * (1 + 1e-9))
 
     monkeypatch.setattr(check, "smooth", bent)
-    assert run("check", brief_recording) == 3
+    assert run("self-test", brief_recording) == 3
 
 
 @pytest.mark.slow
@@ -353,7 +353,7 @@ def test_paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
     [
         ("estimate", "none.blf", "-o", "m.toml"),
         ("estimate", "run.csv", "--arm", EXAMPLE / "arm.toml", "-o", "m.toml"),
-        ("check", "none.blf", "--arm", EXAMPLE / "arm.toml"),
+        ("self-test", "none.blf", "--arm", EXAMPLE / "arm.toml"),
         ("simulate", "none.toml", "-o", "run.blf"),
         ("simulate", EXAMPLE / "scenario.toml", "-o", "run.csv"),
         ("simulate", EXAMPLE / "arm.toml", "-o", "run.blf"),
@@ -390,7 +390,7 @@ def test_another_arm_beside_the_run_is_not_overwritten(tmp_path: Path, capsys: p
     assert not (tmp_path / "run.blf").exists()
 
 
-@pytest.mark.parametrize("command", ["simulate", "estimate", "check", "listen", "dbc", "bus-load", "paper"])
+@pytest.mark.parametrize("command", ["simulate", "estimate", "self-test", "listen", "dbc", "bus-load", "paper"])
 def test_help_teaches(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "--help") == 0
     assert f"zygos {command}" in capsys.readouterr().out
@@ -410,11 +410,11 @@ def test_help_teaches(command: str, capsys: pytest.CaptureFixture[str]) -> None:
         (("simulate", "scenario.toml", "-o", "other.blf", "--json", "model.toml"), "model.toml"),
         (("simulate", "scenario.toml", "-o", "new/other.blf", "--json", "new/arm.toml"), "new/arm.toml"),
         (("simulate", "scenario.toml", "-o", "other.blf", "--json", "other.blf"), "other.blf"),
-        (("check", "run.blf", "--json", "run.blf"), "run.blf"),
-        (("check", "run.blf", "--json", "arm.toml"), "arm.toml"),
-        (("check", "run.blf", "--report", "arm.toml"), "arm.toml"),
+        (("self-test", "run.blf", "--json", "run.blf"), "run.blf"),
+        (("self-test", "run.blf", "--json", "arm.toml"), "arm.toml"),
+        (("self-test", "run.blf", "--report", "arm.toml"), "arm.toml"),
         (("estimate", "run.blf", "-o", "m.toml", "--report", "m.toml"), "m.toml"),
-        (("check-arm", "arm.toml", "run.blf", "--report", "run.blf"), "run.blf"),
+        (("check-arm", "run.blf", "--arm", "arm.toml", "--report", "run.blf"), "run.blf"),
         (("listen", "-i", "virtual", "-c", "x", "--arm", "arm.toml", "-o", "arm.toml"), "arm.toml"),
         (("listen", "-i", "virtual", "-c", "x", "--arm", "arm.toml", "-o", "m.toml", "--json", "m.toml"), "m.toml"),
         (("paper", "--seeds", 2, "--example", ".", "--json", "scenario.toml"), "scenario.toml"),
@@ -447,7 +447,7 @@ def test_a_model_is_called_toml_and_its_folder_is_made(brief_recording: Path, tm
 
 
 def test_the_run_is_looked_for_before_its_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for command in (("estimate", "-o", tmp_path / "m.toml"), ("check",)):
+    for command in (("estimate", "-o", tmp_path / "m.toml"), ("self-test",)):
         assert run(command[0], tmp_path / "none.blf", *command[1:]) == 2
         assert "none.blf: no such file" in capsys.readouterr().err
 
@@ -457,7 +457,7 @@ def test_paths_are_printed_as_they_are(tmp_path: Path, capsys: pytest.CaptureFix
     log = tmp_path / "[red]:car:" / "run.log"
     assert run("simulate", scenario, "-o", log) == 0
     assert str(log) in capsys.readouterr().out
-    assert run("check", tmp_path / "[red]:car:" / "none.log") == 2
+    assert run("self-test", tmp_path / "[red]:car:" / "none.log") == 2
     assert "[red]:car:" in capsys.readouterr().err
 
 
@@ -545,7 +545,7 @@ def test_check_of_a_run_without_an_instant(
     bus.write_log(tmp_path / "run.blf", frames, 0.05)
     change = ("node = 1\n", "node = 9\n") if count == 0 else ("node = 1\n", "node = 1\n")
     arm = example_with(tmp_path / "example", "arm.toml", change)
-    assert run("check", tmp_path / "run.blf", "--arm", arm, "--details") == 3
+    assert run("self-test", tmp_path / "run.blf", "--arm", arm, "--details") == 3
     said = capsys.readouterr()
     assert "too few accepted instants; remedy" in said.err
     assert "fault counters" in said.out
@@ -568,7 +568,7 @@ def test_a_run_at_rest_is_undecided(
     assert run("simulate", scenario, "-o", log, noise) == 0
     assert run("estimate", log, "-o", tmp_path / "m.toml") == 3
     capsys.readouterr()
-    assert run("check", log, "--details") == 3
+    assert run("self-test", log, "--details") == 3
     said = capsys.readouterr()
     assert "no solution to compare" in said.err
     assert "bandwidth test" in said.out

@@ -113,7 +113,7 @@ def test_a_log_with_a_counter_gives_the_native_estimate(arm: Arm, cycles: Cycles
     shoulder = report["signals"][0]
     assert (shoulder["signal"], shoulder["from"]) == ("shoulder.link", "Drive1Position.Link")
     assert shoulder["largest"] == pytest.approx(cycles.q[:, 0].max(), abs=1e-5)
-    assert run("check", tmp_path / "run.blf") == 0
+    assert run("self-test", tmp_path / "run.blf") == 0
 
 
 SI = """VERSION ""
@@ -389,7 +389,7 @@ def test_a_foreign_table_and_the_cycle_door(
     assert content["door"] == "cycle"
     values = np.array([parameter["value"] for parameter in content["parameters"]])
     assert np.allclose(values, native(arm, cycles).value, rtol=1e-9)
-    assert run("check", out, "--json", tmp_path / "check.json") == 0
+    assert run("self-test", out, "--json", tmp_path / "check.json") == 0
     assert capsys.readouterr().out.startswith("equal: ")
     report = json.loads((tmp_path / "check.json").read_text())
     assert report["door"] == "cycle"
@@ -403,12 +403,12 @@ def test_the_other_commands_refuse_what_they_cannot_take(
 ) -> None:
     assert convert(brief_log, tmp_path / "run.npz") == 0
     table, out = tmp_path / "run.npz", tmp_path / "n.toml"
-    assert run("explain", "--simulation", EXAMPLE / "model.toml", "--measured", table, table, "-o", out) == 2
+    assert run("explain", "--simulation", EXAMPLE / "model.toml", table, table, "-o", out) == 2
     assert "run.npz" in capsys.readouterr().err
     assert run("estimate", tmp_path / "none.npz", "-o", tmp_path / "m.toml") == 2
     assert "none.npz: no such file" in capsys.readouterr().err
     write_columns(tmp_path / "bad.npz", {"sync": np.arange(5)})
-    assert run("check", tmp_path / "bad.npz") == 2
+    assert run("self-test", tmp_path / "bad.npz") == 2
     assert "the cycle table of arm lively has no column q1" in capsys.readouterr().err
 
 

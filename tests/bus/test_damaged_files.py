@@ -217,7 +217,7 @@ def test_what_survives_is_answered_from(
     assert answers[0].pop("damage") == list(damage)
     assert answers[1].pop("damage") is None
     assert answers[0] == answers[1]
-    assert run("check", path, "--arm", ARM, "--json", tmp_path / "check.json") == 4
+    assert run("self-test", path, "--arm", ARM, "--json", tmp_path / "check.json") == 4
     rooms = json.loads((tmp_path / "check.json").read_text())
     assert rooms["damage"] == list(damage)
     assert [room["room"] for room in rooms["rooms"] if not room["equal"]] == []
@@ -270,7 +270,7 @@ def test_a_hole_of_240_cycles_is_not_bridged(arm: Arm, frames: Frames, tmp_path:
     flight.estimate()
     assert flight.faults["time_jumped"] == 1
     assert flight.counts["arcs_dropped"] >= 1
-    assert run("check", path, "--arm", ARM) == 4
+    assert run("self-test", path, "--arm", ARM) == 4
 
 
 @pytest.mark.slow
@@ -345,7 +345,7 @@ def test_a_damaged_log_that_is_refused_warns(
     assert "refused" in error
     assert not (tmp_path / "m.toml").exists()
     assert len(json.loads((tmp_path / "m.json").read_text())["damage"]) == 1
-    assert run("check", path, "--arm", ARM) == 3
+    assert run("self-test", path, "--arm", ARM) == 3
     assert "warning" in capsys.readouterr().err
 
 

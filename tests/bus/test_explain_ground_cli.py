@@ -96,7 +96,7 @@ def explain(folder: Path, out: Path, runs: list[str], validate: list[str], *more
     """Exit code and JSON."""
     apart = ["--validate", *(folder / f"{name}.npz" for name in validate)] if validate else []
     code = run(
-        *("explain", "--simulation", folder / f"{cad}.toml", "--measured", *(folder / f"{name}.npz" for name in runs)),
+        *("explain", "--simulation", folder / f"{cad}.toml", *(folder / f"{name}.npz" for name in runs)),
         *(*apart, "-o", out / "new.toml", "--json", out / "verdict.json", *more),
     )
     return code, json.loads((out / "verdict.json").read_text())
@@ -207,7 +207,7 @@ def test_a_single_run_that_is_too_short_is_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new.toml"
-    assert run("explain", "--simulation", folder / "cad.toml", "--measured", folder / "short.npz", "-o", out) == 2
+    assert run("explain", "--simulation", folder / "cad.toml", folder / "short.npz", "-o", out) == 2
     error = " ".join(capsys.readouterr().err.split())
     assert "cannot be cut into 3 parts" in error and "remedy" in error
     assert not out.exists()
@@ -217,17 +217,20 @@ def test_a_single_run_that_is_too_short_is_refused(
 def test_values_after_an_option_are_that_option_again(
     folder: Path, answer: Callable[[str], Answer], tmp_path: Path
 ) -> None:
-    """`--measured A B` is `--measured A --measured B`."""
+    """The former place of runs adds to those in front."""
     more = ("--measured", folder / "nothing1.npz")
     _, found = explain(folder, tmp_path, ["nothing0"], ["nothing2"], *more)
     first, second = ({**content, "command": ""} for content in (answer("nothing").found, found))
     assert first == second
 
 
-def test_values_before_any_option_are_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = ("--simulation", folder / "cad.toml", folder / "coulomb1.npz", "--measured", folder / "coulomb0.npz")
-    assert run("explain", *files, "-o", tmp_path / "new.toml") == 2
-    assert "coulomb1.npz" in "".join(capsys.readouterr().err.split())
+def test_without_runs_or_simulation_the_call_is_shown(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("explain", "--simulation", folder / "cad.toml", "-o", tmp_path / "new.toml") == 2
+    assert "no run to explain; remedy: `zygos explain RUN... --simulation MODEL.toml`" in capsys.readouterr().err
+    assert run("explain", folder / "coulomb0.npz", "-o", tmp_path / "new.toml") == 2
+    assert "add --simulation" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -253,7 +256,7 @@ def test_an_entry_that_is_left_out_is_not_tried(folder: Path, tmp_path: Path) ->
 def test_entries_and_laws_that_do_not_exist_are_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, value: str, message: str
 ) -> None:
-    runs = ("--measured", folder / "coulomb0.npz", folder / "coulomb1.npz")
+    runs = (folder / "coulomb0.npz", folder / "coulomb1.npz")
     assert run("explain", "--simulation", folder / "cad.toml", *runs, "-o", tmp_path / "new.toml", option, value) == 2
     error = " ".join(capsys.readouterr().err.split())
     assert message in error and "remedy" in error
@@ -285,7 +288,7 @@ def test_the_simulation_may_be_a_run_of_another_simulator(tmp_path: Path, capsys
     folder = write(tmp_path, ("nothing", "coulomb"), 2.0 * SECONDS)
     made, out = folder / "made.npz", tmp_path / "new.toml"
     save_run(simulated(measured(coulomb, seconds=2.0 * SECONDS)[0]), made)
-    given = ("--measured", folder / "coulomb0.npz", folder / "coulomb1.npz", "--validate", folder / "coulomb2.npz")
+    given = (folder / "coulomb0.npz", folder / "coulomb1.npz", "--validate", folder / "coulomb2.npz")
     page, json_file = tmp_path / "gap.html", tmp_path / "verdict.json"
     assert run("explain", "--simulation", made, *given, "-o", out, "--json", json_file, "--report", page) == 0
     found = json.loads(json_file.read_text())
@@ -295,6 +298,6 @@ def test_the_simulation_may_be_a_run_of_another_simulator(tmp_path: Path, capsys
     capsys.readouterr()
     assert run("explain", "--simulation", made, *given, "-o", out, "--next-motion", tmp_path / "next.toml") == 2
     assert "zygos estimate" in capsys.readouterr().err
-    other = ("--measured", folder / "nothing0.npz", folder / "nothing1.npz")
+    other = (folder / "nothing0.npz", folder / "nothing1.npz")
     assert run("explain", "--simulation", made, *other, "-o", out) == 2
     assert "none of the measured runs" in capsys.readouterr().err

@@ -98,7 +98,7 @@ def test_arm_files_that_contradict_each_other_are_refused(
     words = {
         "estimate": (*runs, "-o", tmp_path / "m.toml"),
         "predict": (*runs, "--model", model),
-        "explain": ("--simulation", model, "--measured", *runs, "-o", tmp_path / "m.toml"),
+        "explain": ("--simulation", model, *runs, "-o", tmp_path / "m.toml"),
     }[command]
     assert run(command, *words) == 2
     error = capsys.readouterr().err

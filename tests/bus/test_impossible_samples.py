@@ -120,7 +120,7 @@ def test_a_run_whose_angle_wraps_is_unwrapped_without_a_map(
         source, out = tmp_path / f"wrapped.{suffix}", tmp_path / suffix / "run.npz"
         write_cycles(source, replace(clean, q=q, flags=flags))
         (tmp_path / "arm.toml").write_text((EXAMPLE / "arm.toml").read_text())
-        assert run("check-arm", tmp_path / "arm.toml", source) == 3
+        assert run("check-arm", source, "--arm", tmp_path / "arm.toml") == 3
         assert f"elbow link angle wraps {wraps} times" in (said := capsys.readouterr().err.replace("\n", " "))
         assert "`zygos convert RUN --arm ARM.toml -o NEW`" in said
         assert run("convert", source, "--arm", tmp_path / "arm.toml", "-o", out) == 0

@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def plan(folder: Path, *more: object) -> int:
-    return run("plan", folder / "arm.toml", "--model", folder / "model.toml", "--torque-noise", "0.05", *more)
+    return run("plan", "--arm", folder / "arm.toml", "--model", folder / "model.toml", "--torque-noise", "0.05", *more)
 
 
 def test_a_planned_scenario_is_simulated_and_ranked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,7 +89,7 @@ def springs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_motions_are_ranked_by_the_bound(springs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = (springs / "arm.toml", "--model", springs / "model.toml", springs / "short.toml", springs / "long.toml")
+    files = (springs / "short.toml", springs / "long.toml")
     given = ("--json", springs / "plan.json", "--report", springs / "plan.html")
     assert run("plan", *files, "--by", "bound", *given, "--details") == 0
     table = capsys.readouterr().out
@@ -110,7 +110,7 @@ def test_motions_are_ranked_by_the_bound(springs: Path, capsys: pytest.CaptureFi
 
 
 def test_a_motion_is_searched_by_the_bound(springs: Path, tmp_path: Path) -> None:
-    files = (springs / "arm.toml", "--model", springs / "model.toml", springs / "short.toml")
+    files = (springs / "short.toml", "--arm", springs / "arm.toml", "--model", springs / "model.toml")
     sought = ("--by", "bound", "--simulations", 2, "--period", 3, "-o", tmp_path / "planned.toml")
     assert run("plan", *files, *sought, "--json", tmp_path / "plan.json") == 0
     assert load_scenario(tmp_path / "planned.toml").duration_s == 3.0
@@ -122,7 +122,7 @@ def test_the_bound_of_what_has_none_is_refused(folder: Path, springs: Path, caps
     assert plan(folder, "--by", "bound", folder / "planned.toml") == 2
     said = capsys.readouterr().err
     assert "joint joint1 is rigid" in said and "remedy: " in said and "or leave out --by bound" in said
-    files = (springs / "arm.toml", "--model", springs / "rubbing.toml", springs / "short.toml")
+    files = (springs / "short.toml", "--model", springs / "rubbing.toml")
     assert run("plan", *files, "--by", "bound") == 2
     assert "(motor_coulomb); remedy: remove them" in capsys.readouterr().err
 

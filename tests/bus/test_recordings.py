@@ -71,8 +71,8 @@ def test_a_compressed_run(suffix: str, brief: Log, arm: Arm, tmp_path: Path, std
         np.testing.assert_array_equal(found.cycles.q, wanted.q)
         assert len(found) == len(wanted)
     stdin(packed)
-    assert run("check-arm", ARM, "-", "--json", tmp_path / "a.json") in (0, 3)
-    assert run("check-arm", ARM, plain, "--json", tmp_path / "b.json") in (0, 3)
+    assert run("check-arm", "-", "--arm", ARM, "--json", tmp_path / "a.json") in (0, 3)
+    assert run("check-arm", plain, "--arm", ARM, "--json", tmp_path / "b.json") in (0, 3)
     one, other = (json.loads((tmp_path / name).read_text()) for name in ("a.json", "b.json"))
     assert one == {**other, "run": "-"}
 
@@ -85,14 +85,14 @@ def test_compression_that_breaks_off(brief: Log, arm: Arm, tmp_path: Path, capsy
         content = gzip.compress(plain.read_bytes())
         (tmp_path / f"run{suffix}.gz").write_bytes(content[: len(content) // 2])
     log = tmp_path / "run.log.gz"
-    assert run("check", log, "--arm", ARM) in (3, 4)
+    assert run("self-test", log, "--arm", ARM) in (3, 4)
     assert f"warning: {log} is compressed, and its end is missing" in capsys.readouterr().err
     found = bus.read_log(log)
     assert found.damage[0].startswith(f"{log} ends in the middle of line")
     np.testing.assert_array_equal(found.frames, brief[: len(found.frames)])
     assert len(found.frames) > 1000
     table = tmp_path / "run.csv.gz"
-    assert run("check", table, "--arm", ARM) in (3, 4)
+    assert run("self-test", table, "--arm", ARM) in (3, 4)
     assert f"warning: {table} is compressed, and its end is missing" in capsys.readouterr().err
     whole, cut = load_run(tmp_path / "plain.csv", arm).cycles, load_run(table, arm).cycles
     np.testing.assert_array_equal(cut.omega, whole.omega[: len(cut)])
@@ -289,12 +289,12 @@ def test_every_command_that_reads_a_recording(
     model = EXAMPLE / "model.toml"
     commands: list[tuple[object, ...]] = [
         ("estimate", brief_recording, "-o", out / "m.toml"),
-        ("check", brief_recording),
-        ("check-arm", ARM, brief_recording),
+        ("self-test", brief_recording),
+        ("check-arm", brief_recording, "--arm", ARM),
         ("refine", brief_recording, "-o", out / "r.toml"),
         ("predict", brief_recording, "--model", model),
         ("view", brief_recording, "--model", model, "--html", out / "v.html"),
-        ("bus-load", "--arm", ARM, "--run", brief_recording),
+        ("bus-load", brief_recording, "--arm", ARM),
     ]
     for command in commands:
         run(*command, "--from", 5, "--to", 15)

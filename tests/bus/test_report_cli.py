@@ -48,8 +48,8 @@ NOWHERE = Provenance("zygos", "1.2.3", ())
 def command_of(name: str, log: Path, out: Path) -> list[object]:
     return {
         "estimate": ["estimate", log, "--arm", ARM, "-o", out / "model.toml"],
-        "check": ["check", log, "--arm", ARM],
-        "check-arm": ["check-arm", ARM, log],
+        "self-test": ["self-test", log, "--arm", ARM],
+        "check-arm": ["check-arm", log, "--arm", ARM],
     }[name]
 
 
@@ -99,8 +99,8 @@ def sound(page: Page) -> Page:
     return page
 
 
-@pytest.mark.slow(only=["check-arm", "check"])
-@pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
+@pytest.mark.slow(only=["check-arm", "self-test"])
+@pytest.mark.parametrize("name", ["estimate", "self-test", "check-arm"])
 def test_a_page_is_whole_and_says_where_it_comes_from(name: str, brief_recording: Path, tmp_path: Path) -> None:
     log, file = brief_recording, tmp_path / "new" / "page.html"
     given = [*command_of(name, log, tmp_path), "--report", file]
@@ -112,7 +112,7 @@ def test_a_page_is_whole_and_says_where_it_comes_from(name: str, brief_recording
         assert hashlib.sha256(path.read_bytes()).hexdigest() in page.text
     verdict = {
         "estimate": "valid 12 of 12 parameters learned from 400 cycles",
-        "check": "equal C and numpy agree in all 11 stages",
+        "self-test": "equal C and numpy agree in all 11 stages",
         "check-arm": "signals confirmed, not everything decided Signs and places of the signals are confirmed, but not "
         "decided: torque_law",
     }[name]
@@ -122,7 +122,7 @@ def test_a_page_is_whole_and_says_where_it_comes_from(name: str, brief_recording
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
+@pytest.mark.parametrize("name", ["estimate", "self-test", "check-arm"])
 def test_a_table_of_cycles_has_a_page(name: str, brief_recording: Path, tmp_path: Path) -> None:
     """Its cycles are numbered as they are in the table."""
     cycles = watched(load_arm(ARM), bus.read_log(brief_recording).frames).trace().cycles
@@ -169,7 +169,7 @@ def test_the_page_of_an_estimate_has_its_numbers_and_no_true_value(recording: Pa
     assert "model.toml" not in page.text.replace(str(tmp_path / "model.toml"), "")
 
 
-@pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
+@pytest.mark.parametrize("name", ["estimate", "self-test", "check-arm"])
 def test_a_refused_run_has_a_page_with_reason_and_remedy(
     name: str, brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,7 +180,7 @@ def test_a_refused_run_has_a_page_with_reason_and_remedy(
     page = sound(Page(file.read_text(encoding="utf-8")))
     reason = {
         "estimate": "too few accepted instants",
-        "check": "no solution to compare, refused: too few accepted instants",
+        "self-test": "no solution to compare, refused: too few accepted instants",
         "check-arm": "nothing confirms",
     }[name]
     assert reason in said and reason in page.text.replace("No solution", "no solution")
@@ -203,7 +203,7 @@ def test_a_log_of_another_arm_has_a_page(name: str, brief_recording: Path, tmp_p
 def test_an_arm_file_that_is_wrong_is_told_what_to_write(brief_recording: Path, tmp_path: Path) -> None:
     arm, file = tmp_path / "arm.toml", tmp_path / "page.html"
     arm.write_text(ARM.read_text().replace('side = "output", sign = 1', 'side = "output", sign = -1', 1))
-    assert run("check-arm", arm, brief_recording, "--report", file) == 3
+    assert run("check-arm", brief_recording, "--arm", arm, "--report", file) == 3
     page = sound(Page(file.read_text(encoding="utf-8")))
     assert "1 finding, the first: shoulder motor angle inverted" in page.text
     assert "Remedy: sign = 1 of the motor_encoder" in page.text
@@ -222,7 +222,7 @@ def test_a_stage_that_differs_is_marked_and_drawn(
 
     monkeypatch.setattr(compare, "smooth", bent)
     file = tmp_path / "page.html"
-    assert run(*command_of("check", recording, tmp_path), "--report", file) == 3
+    assert run(*command_of("self-test", recording, tmp_path), "--report", file) == 3
     page = sound(Page(file.read_text(encoding="utf-8")))
     assert "C and numpy differ in: smoother" in page.text
     (chart,) = [chart for chart in page.data["charts"].values() if chart["title"] == "smoother"]
@@ -231,8 +231,8 @@ def test_a_stage_that_differs_is_marked_and_drawn(
     assert cycle == 705  # the instant 700 belongs to the cycle five later, where the smoother's window is full
 
 
-@pytest.mark.slow(only=["check-arm", "check"])
-@pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
+@pytest.mark.slow(only=["check-arm", "self-test"])
+@pytest.mark.parametrize("name", ["estimate", "self-test", "check-arm"])
 def test_a_page_on_standard_output_is_alone_there(
     name: str, brief_recording: Path, tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:

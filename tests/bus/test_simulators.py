@@ -296,7 +296,7 @@ def test_a_place_where_the_file_would_not_work(
     path, table = written(tmp_path), tmp_path / "run.npz"
     before = path.read_bytes()
     write_columns(table, {"t": np.arange(50) / 500.0} | {f"{k}{i}": np.zeros(50) for k in ("q", "tau") for i in (1, 2)})
-    assert run("explain", "--simulation", path, "--measured", table, "-o", tmp_path / out) == 2
+    assert run("explain", "--simulation", path, table, "-o", tmp_path / out) == 2
     err = capsys.readouterr().err.replace("\n", " ")
     assert said in err and "remedy" in err
     assert path.read_bytes() == before and not (tmp_path / "elsewhere" / "new.xml").exists()
@@ -356,7 +356,7 @@ def test_a_table_that_is_no_run_of_the_robot(
 ) -> None:
     path, table = written(tmp_path), tmp_path / "run.npz"
     write_columns(table, {name: np.arange(50) / 500.0 for name in columns})
-    assert run("explain", "--simulation", path, "--measured", table, "-o", tmp_path / "new.xml") == 2
+    assert run("explain", "--simulation", path, table, "-o", tmp_path / "new.xml") == 2
     assert said in capsys.readouterr().err.replace("\n", " ")
     assert not (tmp_path / "new.xml").exists()
 
@@ -423,7 +423,7 @@ def test_friction_of_another_engine_is_found_from_plain_tables(
     for seed in range(3):
         write_columns(tmp_path / f"{seed}.npz", flown(plant, seed))
     code = run(
-        "explain", "--simulation", cad, "--measured", tmp_path / "0.npz", tmp_path / "1.npz",
+        "explain", "--simulation", cad, tmp_path / "0.npz", tmp_path / "1.npz",
         "--validate", tmp_path / "2.npz", "-o", tmp_path / "new.xml", "--mcap", tmp_path / "gap.mcap",
     )  # fmt: skip
     said = capsys.readouterr()

@@ -62,7 +62,7 @@ def ask(one: Case, folder: Path) -> tuple[dict[str, Any], str]:
     """The verdict of the product; where it gives none, its message."""
     runs = sorted(folder.glob("[abc].*"))
     command = [sys.executable, "-m", "zygos.cli", "explain", "--simulation", "simulation.toml", "--arm", "arm.toml"]
-    command += ["--measured", runs[0].name, runs[1].name, "--validate", runs[2].name]
+    command += [runs[0].name, runs[1].name, "--validate", runs[2].name]
     command += ["--without", one.cell.without] if one.cell.without else []
     command += ["-o", "new.toml", "--json", "verdict.json"]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}

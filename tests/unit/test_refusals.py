@@ -211,7 +211,7 @@ def test_a_log_of_another_machine_has_no_frames_of_the_arm(tmp_path: Path, capsy
         ["predict", "--model", "published.toml", "{run}"],
         ["estimate", "{run}", "-o", "{new}"],
         ["estimate", "{run}", "00.blf", "-o", "{new}"],
-        ["explain", "--simulation", "published.toml", "--measured", "{run}", "00.blf", "-o", "{new}"],
+        ["explain", "--simulation", "published.toml", "{run}", "00.blf", "-o", "{new}"],
     ],
     ids=["predict", "one", "two", "explain"],
 )

@@ -6,14 +6,13 @@ from __future__ import annotations
 import sys
 from difflib import get_close_matches
 from importlib import import_module
-from importlib.metadata import version as version_of
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from zygos.files.inputs import standard_input
-from zygos.files.output import errors_end_the_program
+from zygos.files.output import errors_end_the_program, note
 
 GROUPS = {
     "Begin here": {
@@ -36,13 +35,12 @@ GROUPS = {
     },
     "Runs": {
         "convert": ("convert", "Convert telemetry of another system to a run."),
-        "refine": ("refine", "Refine the parameters of an arm up to what its frames tell at most."),
         "predict": (
             "predict",
             "Compare runs with what a model predicts of them: the torques of each joint, and "
             "the motion half a second ahead.",
         ),
-        "check": ("check", "Compare the C library with numpy on a run, stage by stage."),
+        "self-test": ("self_test", "Compare the C library with numpy on a run, stage by stage."),
     },
     "On a bus and on board": {
         "listen": (
@@ -62,7 +60,6 @@ GROUPS = {
     },
     "Motions and models": {
         "plan": ("plan", "Plan a motion that excites every parameter, or rank given motions by what they tell."),
-        "bound": ("bound", "Compute the smallest standard deviations that any estimator can have from a motion."),
         "fit": ("fit", "Find the physical arm that explains an estimate: possible bodies, lengths and drives."),
         "parameters": ("parameters", "List the base parameters of an arm, and what each of them stands for."),
         "import": ("import_urdf", "Make arm.toml and model.toml from a URDF."),
@@ -82,16 +79,22 @@ GROUPS = {
 """The module and the first line of the help of each command, in the order of the list of commands. The modules load
 numpy, scipy and more, which would delay that list."""
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
+FORMER = {
+    "check": ("self_test", "it is called `zygos self-test`"),
+    "refine": ("refine", "`zygos estimate` refines by itself"),
+    "bound": ("bound", "`zygos plan SCENARIO.toml --by bound` has the same standard deviations"),
+}
+"""The module of each command that has gone, and what has its place. They go on in this version, and are in no list."""
 
 
 class Greedy(TyperCommand):
-    """A command whose repeatable options take all values that follow, up to the next option, where it has no
-    arguments: `--measured A B` is `--measured A --measured B`."""
+    """A command whose repeatable options take all values that follow, up to the next option, where it needs
+    no arguments: `--validate A B` is `--validate A --validate B`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Repeat the option before each further value."""
         repeatable = {name for one in self.params if getattr(one, "multiple", False) for name in one.opts}
-        if any(one.param_type_name == "argument" for one in self.params):
+        if any(one.param_type_name == "argument" and one.required for one in self.params):
             return super().parse_args(ctx, args)
         out: list[str] = []
         option, count = "", 0
@@ -109,7 +112,7 @@ class Greedy(TyperCommand):
 def load(name: str) -> TyperCommand:
     """A command with its arguments and options, by its name."""
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-    alone.command(name, cls=Greedy)(import_module(f"zygos.cli.{COMMANDS[name][0]}").command)
+    alone.command(name, cls=Greedy)(import_module(f"zygos.cli.{(COMMANDS | FORMER)[name][0]}").command)
     command = typer.main.get_command(alone)
     assert isinstance(command, TyperCommand)
     return command
@@ -131,8 +134,20 @@ class Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """The called command, completely loaded. Errors: that of a wrong name, with the name that was meant."""
-        if args and args[0] not in COMMANDS and (meant := get_close_matches(args[0], COMMANDS, 1)):
+        if args and args[0] not in {*COMMANDS, *FORMER} and (meant := get_close_matches(args[0], COMMANDS, 1)):
             ctx.fail(f"No such command '{args[0]}'. Did you mean '{meant[0]}'?")
+        if args and args[0] in FORMER:
+            note(f"zygos: {args[0]} goes in the next version: {FORMER[args[0]][1]}")
+            return args[0], load(args[0]), args[1:]
+        if (
+            args[:1] == ["check-arm"]
+            and args[1:2]
+            and args[1].lower().endswith(".toml")
+            and args[2:3]
+            and (args[2] == "-" or not args[2].startswith("-"))
+        ):
+            note("zygos: ARM.toml before RUN goes in the next version: `zygos check-arm RUN --arm ARM.toml`")
+            args = ["check-arm", args[2], "--arm", args[1], *args[3:]]
         name, found, rest = super().resolve_command(ctx, args)
         return name, load(name) if name and found else found, rest
 
@@ -149,6 +164,8 @@ app = typer.Typer(
 def _version(wanted: bool) -> None:
     """Print name and version, and end."""
     if wanted:
+        from importlib.metadata import version as version_of  # noqa: PLC0415  (slow to load)
+
         print(f"zygos {version_of('zygos')}")
         raise typer.Exit
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,8 @@ from zygos.estimation.estimate import Estimation
 from zygos.model.model import Model
 from zygos.native.refiner import NORMAL_95
 from zygos.refinement.refine import Refinement, check_supported, refine_runs
-from zygos.report.answer import Answer, Text, section, table
+from zygos.refinement.sections import answer_of
+from zygos.report.answer import Answer, Charts, Section, Text, section, table
 from zygos.report.figures import down_to, figure, listed, unit_of
 
 
@@ -77,8 +78,9 @@ class Best:
             "values": self.values(),
         }
 
-    def answer(self, energy: Answer) -> Answer:
-        """The answer of the energy rows, with the published values in front."""
+    def answer(self, energy: Answer, *, draw: bool = False) -> Answer:
+        """The answer of the energy rows, with the published values in front, and what was checked of the refinement
+        behind it; draw: with its charts."""
         values = self.values()
         if self.reason:
             said = f"The values are those of the energy balance, not refined: {self.reason}."
@@ -99,13 +101,37 @@ class Best:
             Text(said),
             table("parameter::name | value::main | ± 95 % | unit::unit | from::text | why::wrap", rows),
         )
+        behind, drawn = ((), {}) if self.refined is None else _of_refinement(self.refined, draw)
         shown = listed(*([one[key] for one in values] for key in ("name", "unit", "value", "half95")))
         return replace(
             energy,
             lead=(*energy.lead, Text(said, "note", "Values")),
-            sections=(*(() if part_of_page is None else (part_of_page,)), *energy.sections),
+            sections=(*(() if part_of_page is None else (part_of_page,)), *energy.sections, *behind),
+            drawn={**energy.drawn, **{key: {**energy.drawn[key], **more} for key, more in drawn.items()}},
             brief=shown,
         )
+
+
+def _of_refinement(found: Refinement, draw: bool) -> tuple[tuple[Section, ...], Mapping[str, Mapping[str, Any]]]:
+    """Sections and charts of a refinement, with keys of their own."""
+    whole = answer_of(found, draw=draw)
+
+    def own(content: Any) -> Any:
+        return replace(content, ids=tuple(map(_own, content.ids))) if isinstance(content, Charts) else content
+
+    parts = tuple(
+        Section(_own(one.key), f"Refinement: {one.title[0].lower()}{one.title[1:]}", tuple(map(own, one.content)))
+        for one in whole.sections
+    )
+    charts = {
+        _own(key): {**chart, "id": _own(chart["id"]), **({"time": _own(chart["time"])} if "time" in chart else {})}
+        for key, chart in whole.drawn["charts"].items()
+    }
+    return parts, {"times": {_own(key): times for key, times in whole.drawn["times"].items()}, "charts": charts}
+
+
+def _own(key: str) -> str:
+    return f"refined-{key}"
 
 
 def best_of(energy: Estimation, runs: Sequence[Run], model: Model | None, progress: Callable[[float], None]) -> Best:

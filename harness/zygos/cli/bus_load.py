@@ -133,6 +133,11 @@ def _remedy(planned: Plan, bitrate: int) -> str:
 
 @cuts
 def command(
+    run: Annotated[
+        Path | None,
+        typer.Argument(metavar="RUN", help="Also count the bits of this CAN log, stuff bits included."),
+    ] = None,
+    *,
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
     bitrate: Annotated[
         int, typer.Option(metavar="BIT/S", min=1000, max=1_000_000, help="The bit rate of the bus.")
@@ -144,9 +149,8 @@ def command(
     telemetry_hz: Annotated[
         float, typer.Option(metavar="HZ", min=0.0, max=1e6, help="Telemetry frames per second.")
     ] = 100.0,
-    run: Annotated[
-        Path | None,
-        typer.Option("--run", metavar="RUN", help="Also count the bits of this CAN log, stuff bits included."),
+    former: Annotated[
+        Path | None, typer.Option("--run", metavar="RUN", help="Former place of RUN.", hidden=True)
     ] = None,
     json: Json = None,
 ) -> None:
@@ -159,4 +163,6 @@ def command(
 
     Example: zygos bus-load --arm examples/paper/arm.toml --bitrate 500000
     """
-    report_bus_load(arm, bitrate, attitude_hz, telemetry_hz, run, json)
+    if former is not None:
+        note("zygos: --run goes in the next version: the run comes first, `zygos bus-load RUN --arm ARM.toml`")
+    report_bus_load(arm, bitrate, attitude_hz, telemetry_hz, run or former, json)

@@ -14,7 +14,8 @@ from zygos.arm import Arm, load_arm
 from zygos.audit.check import check_arm
 from zygos.audit.sections import advice, answer_of, summary
 from zygos.audit.weights import check_weighed
-from zygos.cli.options import ArmArgument, Details, Json, Report, Run, cuts
+from zygos.can.run import find_arm
+from zygos.cli.options import ArmFile, Details, Json, Report, Run, cuts
 from zygos.cli.shared import Wanted, deliver, not_whole, origin, read_run
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs
@@ -24,7 +25,7 @@ from zygos.report.provenance import provenance
 from zygos.simulators.file import is_simulator_file, read_robot
 
 
-def check_arm_run(arm_file: Path, run: Path, simulation: Path | None, wanted: Wanted, command: Sequence[str]) -> None:
+def check_arm_run(run: Path, arm_file: Path, simulation: Path | None, wanted: Wanted, command: Sequence[str]) -> None:
     """Audit a run against an arm file; see `zygos check-arm --help`."""
     check_outputs([wanted.json, wanted.report], [run, arm_file, simulation])
     arm = load_arm(arm_file)
@@ -58,8 +59,8 @@ def _model(simulation: Path, arm: Arm) -> Model:
 @cuts
 def command(
     context: typer.Context,
-    arm: ArmArgument,
     run: Run,
+    arm: ArmFile = None,
     simulation: Annotated[
         Path | None,
         typer.Option(
@@ -84,6 +85,6 @@ def command(
 
     Exit code 3 when something is found, or the run does not confirm every signal. What else is open is listed.
 
-    Example: zygos check-arm out/arm.toml out/run.blf
+    Example: zygos check-arm out/run.blf --arm out/arm.toml
     """
-    check_arm_run(arm, run, simulation, Wanted(json, report, details), context.obj or ["check-arm"])
+    check_arm_run(run, find_arm(run, arm), simulation, Wanted(json, report, details), context.obj or ["check-arm"])

@@ -231,7 +231,7 @@ def _print(content: dict[str, Any]) -> None:
     )
     for line in content["warnings"]:
         say(f"check: {line}")
-    say(f"next: zygos check-arm {content['arm']} {content['run']} · signs, places, scales and delays of the signals")
+    say(f"next: zygos check-arm {content['run']} · signs, places, scales and delays of the signals")
 
 
 def _judge(bandwidth: dict[str, Any], faster: str, mapping: Map, out: Path, arm: Arm) -> None:

@@ -66,7 +66,7 @@ class GroundOptions:
 def estimate_runs(
     runs: Sequence[Path],
     arm_file: Path | None,
-    out: Path,
+    out: Path | None,
     model_file: Path | None,
     wanted: Wanted,
     command: Sequence[str],
@@ -166,7 +166,7 @@ def _correct(
             f"--simulation {simulation}: is no MJCF or URDF (.xml, .mjcf, .urdf); remedy: a model of zygos is given "
             "with --model"
         )
-    if not is_simulator_file(out):
+    if out is None or not is_simulator_file(out):
         check_model_name(out)
     read = [*runs, *ground.validate]
     files = [("simulation", simulation), *(("run", path) for path in runs)]
@@ -183,7 +183,7 @@ def _correct(
         check_outputs([out, wanted.json, wanted.report], [*read, simulation])
         robot, arm, recorded = read_plain(read, simulation)
     files += [("validated", path) for path in ground.validate]
-    if is_simulator_file(out):
+    if out is not None and is_simulator_file(out):
         robot = for_output(robot, out)
     warn(at_stops(robot, recorded))
     learned, checked = recorded[: len(runs)], recorded[len(runs) :]
@@ -198,7 +198,7 @@ def _correct(
             progress=lambda share: bar.update(task, completed=share),
         )
         bar.update(task, description=f"{simulation.name} with what was found")
-        own = estimated_in(robot, found, checked, out.parent)
+        own = estimated_in(robot, found, checked, Path() if out is None else out.parent)
     finish_ground(found, out, wanted, partial(provenance, command, files), own)
     not_whole(*(run.damage for run in recorded))
 
@@ -206,7 +206,7 @@ def _correct(
 def _payload(
     runs: Sequence[RecordedRun],
     ground: GroundOptions,
-    out: Path,
+    out: Path | None,
     model_file: Path | None,
     wanted: Wanted,
     source: Callable[[], Provenance],
@@ -250,14 +250,15 @@ def command(
     context: typer.Context,
     run: Runs,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "-o",
             "--out",
             metavar="MODEL.toml|NEW.xml|NEW.urdf",
-            help="The model to write, or with --simulation the corrected file of the simulator.",
+            help="The model to write, or with --simulation the corrected file of the simulator. Without it "
+            "none is written.",
         ),
-    ],
+    ] = None,
     arm: ArmFile = None,
     model: Annotated[
         Path | None,
@@ -321,10 +322,14 @@ def command(
     rows, with a constant offset of each torque in each run; --flight uses the C library for it as well.
 
     The values of the energy balance are then refined with the equations of motion, where the arm and its effects allow
-    it. Refined values are published only if the readings speak for the model: `zygos refine --help` has the rules.
-    Otherwise the values are those of the energy balance. The answer says for each value which it is, and why.
-    --energy stops before the refinement. A refinement takes at most 1 GB of memory: of longer runs it uses the
-    beginning, and says so.
+    it: states and parameters are solved from all readings at once, and come near the least standard deviations that
+    any estimator can have (`zygos plan --by bound`). Such a fit cannot notice all that its model lacks. Refined values
+    are therefore published only if all of this holds: the energy balance agrees; the innovations of all sensors are as
+    small as expected, over the whole record and in twelve windows; the noise of the torques is not above the
+    torque_relative_sigma of arm.toml; and a delay of the torques, another gain of one joint, friction or an offset
+    does not follow the readings better. Otherwise the values are those of the energy balance. The answer says for each
+    value which it is, and why. --energy stops before the refinement. A refinement takes at most 1 GB of memory: of
+    longer runs it uses the beginning, and says so.
 
     Writes a model.toml with value and sigma of each parameter. A parameter that the motion does not determine is left
     out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are estimated

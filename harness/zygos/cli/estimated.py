@@ -27,7 +27,7 @@ Source = Callable[[], Provenance]
 
 def finish_estimate(
     found: Estimation,
-    out: Path,
+    out: Path | None,
     heading: Mapping[str, Any],
     wanted: Wanted,
     source: Source,
@@ -43,7 +43,7 @@ def finish_estimate(
 
     def answer(draw: bool) -> Answer:
         of_energy = sections.answer_of(found, written=where, damage=damage, draw=draw)
-        return of_energy if best is None else best.answer(of_energy)
+        return of_energy if best is None else best.answer(of_energy, draw=draw)
 
     deliver(
         wanted,
@@ -60,11 +60,11 @@ def finish_estimate(
 
 
 def finish_ground(
-    found: GroundEstimate, out: Path, wanted: Wanted, source: Source, own: InSimulator | None = None
+    found: GroundEstimate, out: Path | None, wanted: Wanted, source: Source, own: InSimulator | None = None
 ) -> None:
     """End an estimate on the ground. Raises Undecided if it is doubtful or refused. own: the corrected file of the
     simulator."""
-    in_file = own is not None and out.suffix.lower() != ".toml"
+    in_file = own is not None and out is not None and out.suffix.lower() != ".toml"
     where = "" if in_file and own is not None and not own.good else _where(found.validity, out)
 
     def answer(draw: bool) -> Answer:
@@ -75,7 +75,7 @@ def finish_ground(
         return found.as_dict() if own is None else {**found.as_dict(), "simulator": own.as_json()}
 
     def save() -> None:
-        assert own is not None
+        assert own is not None and out is not None
         save_corrected(own, out)
 
     saved = save if in_file else _saved(found.validity, found.to_model, out)
@@ -83,17 +83,18 @@ def finish_ground(
     conclude(found.validity, f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}")
 
 
-def finish_payload(found: Payload, out: Path, wanted: Wanted, source: Source) -> None:
+def finish_payload(found: Payload, out: Path | None, wanted: Wanted, source: Source) -> None:
     """End the estimate of a payload. Raises Undecided where there is none."""
-    where = f"{named(out)} written" if found.found else ""
+    where = f"{named(out)} written" if found.found and out else ""
     deliver(wanted, lambda draw: payload_answer(found, written=where), found.as_dict, source, out)
     check_found(found)
-    save_model(found.to_model(), out)
+    if out:
+        save_model(found.to_model(), out)
 
 
-def _where(validity: str, out: Path) -> str:
-    return "no model written" if validity == "refused" else f"{named(out)} written"
+def _where(validity: str, out: Path | None) -> str:
+    return "no model written" if validity == "refused" or out is None else f"{named(out)} written"
 
 
-def _saved(validity: str, model: Callable[[], Model], out: Path) -> Callable[[], None] | None:
-    return None if validity == "refused" else lambda: save_model(model(), out)
+def _saved(validity: str, model: Callable[[], Model], out: Path | None) -> Callable[[], None] | None:
+    return None if validity == "refused" or out is None else lambda: save_model(model(), out)

@@ -15,12 +15,12 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import Run, check_distinct, find_arm, read_run
-from zygos.cli.options import ArmFile, Details, Json, Mcap, cuts
+from zygos.cli.options import ArmFile, Details, Json, Mcap, cuts, of_runs
 from zygos.cli.shared import Wanted, arm_beside, check_model_name, deliver, not_whole, save_corrected, warn
 from zygos.effects import estimated, laws
 from zygos.errors import Undecided, ZygosError
 from zygos.files.mcap import Topic, check_mcap_name, write_mcap
-from zygos.files.output import check_outputs, named, number
+from zygos.files.output import check_outputs, named, note, number
 from zygos.files.progress import progress
 from zygos.gap import sections
 from zygos.gap.content import as_json, planned_json
@@ -77,7 +77,7 @@ def explain_run(
     measured: Sequence[Path],
     validate: Sequence[Path],
     arm_file: Path | None,
-    out: Path,
+    out: Path | None,
     wanted: Wanted,
     command: Sequence[str],
     effects: Sequence[Path] = (),
@@ -100,7 +100,7 @@ def _explain_run(
     measured: Sequence[Path],
     validate: Sequence[Path],
     arm_file: Path | None,
-    out: Path,
+    out: Path | None,
     wanted: Wanted,
     command: Sequence[str],
     without: Sequence[str],
@@ -161,7 +161,7 @@ def _explain_run(
         own = None
         if robot is not None and isinstance(found, GroundExplanation):
             bar.update(task, description=f"{simulation.name} with what was found")
-            own = explained_in(robot, found, out.parent)
+            own = explained_in(robot, found, Path() if out is None else out.parent)
         motion = None
         if planned is not None and undecided(found.findings):
             bar.update(task, description="the next motion")
@@ -171,20 +171,20 @@ def _explain_run(
     not_whole(*(log.damage for log in logs))
 
 
-def check_new_name(out: Path, simulation: Path) -> None:
+def check_new_name(out: Path | None, simulation: Path) -> None:
     """Refuse a name of what is to be written that is no model's, and, where the simulation is a file of a simulator, no
     such file's either."""
-    if not (is_simulator_file(simulation) and is_simulator_file(out)):
+    if out is not None and not (is_simulator_file(simulation) and is_simulator_file(out)):
         check_model_name(out)
 
 
-def _for_output(robot: Robot, out: Path, planned: Planned | None) -> Robot:
+def _for_output(robot: Robot, out: Path | None, planned: Planned | None) -> Robot:
     if planned is not None:
         raise ZygosError(
             f"--next-motion: a scenario needs the file of a model, and {robot.path} is one of a simulator; remedy: "
             "leave it out, or write the model first (-o MODEL.toml)"
         )
-    return for_output(robot, out) if is_simulator_file(out) else robot
+    return robot if out is None or not is_simulator_file(out) else for_output(robot, out)
 
 
 def _without_arm_file(
@@ -192,7 +192,7 @@ def _without_arm_file(
     measured: Sequence[Path],
     validate: Sequence[Path],
     arm_file: Path | None,
-    out: Path,
+    out: Path | None,
     wanted: Wanted,
     command: Sequence[str],
     without: Sequence[str],
@@ -218,7 +218,7 @@ def _without_arm_file(
         )
         assert isinstance(found, GroundExplanation), "files of simulators are of arms on the ground"
         bar.update(task, description=f"{simulation.name} with what was found")
-        own = explained_in(robot, found, out.parent)
+        own = explained_in(robot, found, Path() if out is None else out.parent)
     text = f"no arm file: the arm is that of {simulation.name}, with torques at the joints that are sampled"
     finish(found, runs, inputs, partial(provenance, command, inputs.files), out, wanted, [text], None, own)
 
@@ -328,7 +328,7 @@ def finish(
     logs: Sequence[Run],
     inputs: Inputs,
     source: Callable[[], Provenance],
-    out: Path,
+    out: Path | None,
     wanted: Wanted,
     said: Sequence[str],
     motion: Separating | None,
@@ -355,6 +355,7 @@ def finish(
 
     def save() -> None:
         assert model is not None
+        assert out is not None
         if own is None or not is_simulator_file(out):
             save_model(model, out)
             return
@@ -362,41 +363,45 @@ def finish(
 
     if wanted.mcap and isinstance(found, GroundExplanation):
         write_mcap(wanted.mcap, drawn(found), {"effort": found.arm.unit("Nm")})
-    deliver(wanted, answer, content, source, out, save=None if model is None else save)
+    deliver(wanted, answer, content, source, out, save=None if model is None or out is None else save)
     if model is None:
-        raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
+        missing = "no model" if out is None else f"{named(out)} not written"
+        raise Undecided(f"{found.answer}: {found.sentence} ({missing}); remedy: {found.remedy}")
 
 
 @cuts
 def command(
     context: typer.Context,
+    run: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="RUN...",
+            help="Runs to learn from: two or more, because a result from one must hold on the others. A single run is "
+            "cut into thirds, of which the last is kept apart.",
+            callback=of_runs,
+        ),
+    ] = None,
     simulation: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--simulation",
             metavar="CAD.toml|ROBOT.xml|ROBOT.urdf|RUN",
             help="The model that the simulation uses; the MJCF or URDF of an arm on the ground with rigid joints; or a "
-            "run that another simulator made from the torques of a measured run.",
+            "run that another simulator made from the torques of a measured run. Required.",
         ),
-    ],
-    measured: Annotated[
-        list[Path],
-        typer.Option(
-            "--measured",
-            metavar="RUN...",
-            help="Runs to learn from: two or more, because a result from one must hold on the others. A single run is "
-            "cut into thirds, of which the last is kept apart.",
-        ),
-    ],
+    ] = None,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "-o",
             "--out",
             metavar="NEW.toml|NEW.xml|NEW.urdf",
-            help="The model to write, or the corrected file of the simulator.",
+            help="The model to write, or the corrected file of the simulator. Without it none is written.",
         ),
-    ],
+    ] = None,
+    measured: Annotated[
+        list[Path] | None, typer.Option("--measured", metavar="RUN...", help="Former place of the runs.", hidden=True)
+    ] = None,
     validate: Annotated[
         list[Path] | None,
         typer.Option(
@@ -462,9 +467,16 @@ def command(
     The gap is measured in MuJoCo as well. Without an arm file, runs are tables of t, q1 .. qN and tau1 .. tauN at the
     joints (docs/simulators.md).
 
-    Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
+    Example: zygos explain A.blf B.blf --simulation examples/gap/cad.toml --validate C.blf -o out/new.toml
     """
     asked, limits = context.obj or ["explain"], (angle, rate, torque)
+    if measured:
+        note("zygos: --measured goes in the next version: runs come first, `zygos explain RUN...`")
+    runs = [*(run or ()), *(measured or ())]
+    if not runs:
+        raise ZygosError("there is no run to explain; remedy: `zygos explain RUN... --simulation MODEL.toml`")
+    if simulation is None:
+        raise ZygosError("there is no simulation to compare with; remedy: add --simulation and the model or its run")
     if next_motion is None and any(limits):
         raise ZygosError(
             "--angle, --rate and --torque are limits of a motion that is planned; remedy: give --next-motion, too"
@@ -472,7 +484,7 @@ def command(
     planned = None if next_motion is None else Planned(next_motion, limits)
     explain_run(
         simulation,
-        measured,
+        runs,
         validate or (),
         arm,
         out,

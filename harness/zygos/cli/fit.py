@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from zygos.arm import Arm, load_arm
-from zygos.cli.options import Json
+from zygos.cli.options import Json, Out
 from zygos.cli.shared import check_model_name
 from zygos.effects import Effect
 from zygos.errors import Undecided, ZygosError
@@ -27,7 +27,7 @@ _KEYS = ("arm", "parameters", "solution", "normal", "validity", "reason", "block
 
 
 def fit_estimate(
-    estimate: Path, arm_file: Path, drawing_file: Path, out: Path, length_sigma: float, json: str | None
+    estimate: Path, arm_file: Path, drawing_file: Path, out: Path | None, length_sigma: float, json: str | None
 ) -> None:
     """Fit bodies to an estimate; see `zygos fit --help`."""
     check_model_name(out)
@@ -45,7 +45,7 @@ def fit_estimate(
     if not quiet(out, json):
         _tables(arm, drawing, found)
     try:
-        if found.explained:
+        if found.explained and out:
             save_model(model, out)
     finally:
         if json:
@@ -132,9 +132,9 @@ def _tables(arm: Arm, drawing: Model, found: PhysicalFit) -> None:
     )
 
 
-def _report(arm: Arm, found: PhysicalFit, out: Path) -> dict[str, Any]:
+def _report(arm: Arm, found: PhysicalFit, out: Path | None) -> dict[str, Any]:
     return {
-        "model": str(out) if found.explained else None,
+        "model": str(out) if found.explained and out else None,
         "arm": arm.name,
         "chi2": found.chi2,
         "dof": found.dof,
@@ -167,7 +167,7 @@ def command(
     ],
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
     model: Annotated[Path, typer.Option("--model", metavar="CAD.toml", help="The model by bodies, from the drawing.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model by bodies to write.")],
+    out: Out = None,
     lengths: Annotated[
         float,
         typer.Option(metavar="MM", min=0.0, help="Standard deviation of CAD.toml's lengths in mm; 0: exact."),

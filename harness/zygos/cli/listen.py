@@ -19,7 +19,7 @@ from zygos.can.rounds import Telemetry
 from zygos.cli.estimated import finish_estimate
 from zygos.cli.live import Screen
 from zygos.cli.onboard import report_refined
-from zygos.cli.options import Bitrate, ChannelOption, Details, Interface, Json, Report
+from zygos.cli.options import Bitrate, ChannelOption, Details, Interface, Json, Out, Report
 from zygos.cli.shared import Wanted, check_model_name
 from zygos.errors import Undecided, ZygosError
 from zygos.estimation.estimate import Estimation, conclude
@@ -33,7 +33,7 @@ from zygos.report.provenance import provenance
 
 def listen_bus(
     arm_file: Path,
-    out: Path,
+    out: Path | None,
     model_file: Path | None,
     interface: str | None,
     channel: str | None,
@@ -71,7 +71,7 @@ def listen_bus(
                 fail(error)
             batch.clear()
 
-        note(f"listening to {where}; Ctrl-C ends, and writes the estimate so far")
+        note(f"listening to {where}; Ctrl-C ends, with the estimate so far")
         begin = time.monotonic()
         try:
             with Screen(watch) as screen:
@@ -106,17 +106,19 @@ def listen_bus(
         sys.exit(failures[0].exit_code)
 
 
-def _kept(flight: Flight, out: Path, log: Path | None) -> str:
+def _kept(flight: Flight, out: Path | None, log: Path | None) -> str:
     """What remains of a listening that was stopped."""
-    estimate = f"stopped; the estimate of {counted(flight.counts['cycles'], 'cycle')} goes to {named(out)}"
+    estimate = f"stopped; the estimate is of {counted(flight.counts['cycles'], 'cycle')}"
+    if out is not None:
+        estimate += f" and goes to {named(out)}"
     return estimate + (f", and the frames to {named(log)}" if log is not None else "")
 
 
-def _end(found: Estimation, out: Path, heading: dict[str, Any], wanted: Wanted) -> None:
+def _end(found: Estimation, out: Path | None, heading: dict[str, Any], wanted: Wanted) -> None:
     finish_estimate(found, out, heading, wanted, partial(provenance, ["listen"], []))
 
 
-def _check_files(out: Path, log: Path | None, wanted: Wanted, inputs: list[Path | None]) -> None:
+def _check_files(out: Path | None, log: Path | None, wanted: Wanted, inputs: list[Path | None]) -> None:
     """Refuse outputs that have a wrong suffix or would replace an input."""
     check_model_name(out)
     if log is not None:
@@ -135,7 +137,7 @@ def watched(arm: Arm, prior: Model | None, *, trace: bool = False) -> Watch:
 
 def command(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write at the end.")],
+    out: Out = None,
     model: Annotated[
         Path | None,
         typer.Option(

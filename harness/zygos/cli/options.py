@@ -16,6 +16,10 @@ from zygos.files.inputs import LOG_SUFFIXES, local, toml_kind
 from zygos.files.tables import TABLE_SUFFIXES
 from zygos.runs.span import reading
 
+Out = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write. Without it none is written."),
+]
 Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Also write the result as JSON to this file.")]
 Report = Annotated[
     Path | None,

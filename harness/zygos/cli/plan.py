@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from rich.progress import Progress, TaskID
 
 from zygos.arm import Arm, load_arm
-from zygos.cli.options import ArmArgument, Details, Json, Report
+from zygos.cli.options import Details, Json, Report, of_arm
 from zygos.cli.shared import Wanted, check_model_name, deliver
 from zygos.errors import ZygosError
-from zygos.files.output import check_outputs
+from zygos.files.inputs import toml_kind
+from zygos.files.output import check_outputs, note
 from zygos.files.progress import progress
 from zygos.model.model import load_model
 from zygos.plan.expected import Expectation
@@ -95,11 +96,21 @@ def _torque_sigma(arm: Arm, given: str | None) -> NDArray[np.float64]:
 
 def command(
     context: typer.Context,
-    arm: ArmArgument,
-    model: Annotated[Path, typer.Option("--model", metavar="MODEL.toml", help="The model that is assumed.")],
     scenarios: Annotated[
         list[Path] | None,
         typer.Argument(metavar="SCENARIO...", help="Motions to rank, and to compare the planned one with."),
+    ] = None,
+    arm: Annotated[
+        Path | None,
+        typer.Option(
+            "--arm", metavar="ARM.toml", help="The arm file. Default: that of the first scenario.", callback=of_arm
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            "--model", metavar="MODEL.toml", help="The model that is assumed. Default: the plant of the first scenario."
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="SCENARIO.toml", help="Search a motion, and write it here.")
@@ -153,7 +164,7 @@ def command(
         typer.Option(
             metavar="energy|bound",
             help="What ranks the motions: what zygos estimate will tell, or the smallest standard deviations of any "
-            "estimate, for zygos refine; the bound needs joints that are all flexible, and a model without effects.",
+            "estimate; the bound needs joints that are all flexible, and a model without effects.",
         ),
     ] = "energy",
     json: Json = None,
@@ -168,19 +179,28 @@ def command(
     scenario has a drive that follows the motion. An arm that floats or has springs is simulated, and its first scenario
     gives servo, angular momentum and duration.
 
-    With --by bound, the deviations are the smallest that any unbiased estimate can have (zygos bound), and the motion
-    with the smallest mean is the best one. Values of zygos refine are near this bound.
+    With --by bound, the deviations are the smallest that any unbiased estimate can have (the Cramér-Rao bound), and the
+    motion with the smallest mean is the best one. Refined values of zygos estimate are near this bound.
 
     A planned motion keeps all limits. A given one that exceeds a limit is ranked last; if all do, they are refused.
 
-    Example: zygos plan arm.toml --model model.toml --angle 2.5 --rate 1.5 -o planned.toml
+    Example: zygos plan --arm arm.toml --model model.toml --angle 2.5 --rate 1.5 -o planned.toml
     """
+    given = list(scenarios or [])
+    if arm is None and given and toml_kind(given[0]) == "an arm file":
+        note("zygos: ARM.toml in front goes in the next version: `zygos plan SCENARIO... --arm ARM.toml`")
+        arm = given.pop(0)
     if candidates and out is not None:
         raise ZygosError("--candidates only ranks; remedy: leave out --candidates, or -o")
+    if given and (arm is None or model is None):
+        first = load_scenario(given[0])
+        arm, model = arm or first.arm, model or first.plant
+    if arm is None or model is None:
+        raise ZygosError("without a scenario the motion has no arm and no model; remedy: add --arm and --model")
     plan_motion(
         arm,
         model,
-        scenarios or [],
+        given,
         out,
         (angle, rate, torque),
         torque_noise,

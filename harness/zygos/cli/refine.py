@@ -12,7 +12,7 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.options import ArmFile, Details, Json, Report, Runs, cuts
+from zygos.cli.options import ArmFile, Details, Json, Out, Report, Runs, cuts
 from zygos.cli.shared import Wanted, check_model_name, deliver, not_whole, read_runs
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs, named
@@ -27,7 +27,7 @@ from zygos.report.provenance import provenance
 def refine_files(
     runs: Sequence[Path],
     arm_file: Path | None,
-    out: Path,
+    out: Path | None,
     model_file: Path | None,
     wanted: Wanted,
     called: Sequence[str],
@@ -42,7 +42,7 @@ def refine_files(
     with progress() as bar:
         task = bar.add_task("refining", total=1.0)
         found = refine_runs(recorded, model=model, progress=lambda share: bar.update(task, completed=share))
-    where = f"{named(out)} written" if found.published else "no model written"
+    where = f"{named(out)} written" if found.published and out else "no model written"
     files = [*(("run", path) for path in runs), ("arm", chosen), *([("prior", model_file)] if model_file else [])]
     damage = [text for run in recorded for text in run.damage]
     heading = {"runs": [str(path) for path in runs], "damage": damage or None}
@@ -52,7 +52,7 @@ def refine_files(
         lambda: found.as_dict(heading),
         partial(provenance, called, files),
         out,
-        save=(lambda: save_model(found.to_model(), out)) if found.published else None,
+        save=(lambda: save_model(found.to_model(), out)) if found.published and out else None,
     )
     if not found.published:
         raise Undecided(f"not published: {found.reason} ({where}); remedy: {REMEDY}")
@@ -63,7 +63,7 @@ def refine_files(
 def command(
     context: typer.Context,
     run: Runs,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="BETTER.toml", help="The model to write.")],
+    out: Out = None,
     arm: ArmFile = None,
     model: Annotated[
         Path | None,

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from zygos.simulators.explain import InSimulator
 
 
-def check_model_name(path: Path) -> None:
-    """Refuse a model file that is not called .toml, unless it is standard output."""
-    if not is_dash(path) and path.suffix.lower() != ".toml":
+def check_model_name(path: Path | None) -> None:
+    """Refuse a model file that is not called .toml, unless it is standard output, or none is wanted."""
+    if path is not None and not is_dash(path) and path.suffix.lower() != ".toml":
         raise ZygosError(f"{path}: not a name for a model; remedy: give it the suffix .toml")
 
 

@@ -2,8 +2,8 @@
 """The demonstration that `make` runs: the paper's example from CAN frames to parameters, a gap explained, and a report.
 
 Each step runs as a separate process, and those that estimate get no file with true values: `zygos simulate` writes
-a log, its frames are sent over a bus, `zygos estimate`, `zygos refine` and numpy read what arrived, and only then the
-scoring step reads the plant's model.
+a log, its frames are sent over a bus, `zygos estimate` and numpy read what arrived, and only then the scoring step
+reads the plant's model.
 """
 
 from __future__ import annotations
@@ -38,6 +38,12 @@ from zygos.simulation.score import score
 
 EXAMPLE, GAP = Path("examples/paper"), Path("examples/gap")
 SNAPSHOT_CYCLES = 20
+DOORS = (
+    ("link it into a flight computer:", "make -C examples/onboard", "docs/integrate.md"),
+    ("put it beside a bus:", "zygos listen --help", "docs/node.md"),
+    ("explain your own arm:", "zygos explain --help", "docs/tasks.md"),
+)
+"""Where to go on: what one does, the command that it begins with, and the page that leads through it."""
 GAPS = {"as_delivered": "as delivered", "refit": "refit", "closed": "closed", "floor": "floor"}
 
 
@@ -147,8 +153,8 @@ def learn(folder: Path) -> Learned:
     """Simulate the paper's example, send its frames over a bus, estimate, score. Writes run, arm and estimate."""
     folder.mkdir(parents=True, exist_ok=True)
     sent, run = folder / "sent.blf", folder / "run.blf"
-    estimate_file, refined_file = folder / "estimate.toml", folder / "refined.toml"
-    for written in (folder / "arm.toml", estimate_file, refined_file):
+    estimate_file = folder / "estimate.toml"
+    for written in (folder / "arm.toml", estimate_file):
         written.unlink(missing_ok=True)
 
     note("simulating the paper's arm …")
@@ -172,10 +178,10 @@ def learn(folder: Path) -> Learned:
         )
 
     note("estimating …")
-    estimate_json, refined_json = estimate_file.with_suffix(".json"), refined_file.with_suffix(".json")
+    estimate_json = estimate_file.with_suffix(".json")
     run_zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
-    run_zygos("refine", run, "--arm", arm_file, "-o", refined_file, "--json", refined_json)
-    refined = json.loads(refined_json.read_text())["parameters"]
+    published = {one["name"]: one for one in json.loads(estimate_json.read_text())["values"]}
+    refined = [published[name] for name in arm.parameter_names]
     numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
     convergence = converge(arm, frames)
 
@@ -242,19 +248,18 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     )
 
     _print_parameters(content["parameters"])
-    note_of_bus = f"{learned.losses} · C and numpy differ by at most {_difference(content['parameters']):.0e}"
-    say(f"arm {learned.arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {note_of_bus}")
     say(
         f"hidden effect: {'found' if gap['right'] else 'MISNAMED as'} {gap['title']}, {gap['where']}, "
         f"{number(gap['value'], 4)} {gap['unit']} (hidden: {gap['size']})"
     )
     shrinks = [f"{number(gap[key], 3)} {word}" for key, word in GAPS.items()]
     say(f"gap between simulation and measurement, sigma: {', '.join(shrinks)}")
+    note_of_bus = f"{learned.losses} · C and numpy differ by at most {_difference(content['parameters']):.0e}"
+    say(f"arm {learned.arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {note_of_bus}")
     say(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')} · {time.monotonic() - begin:.0f} s")
-    say(
-        "next: link it into a flight computer (docs/integrate.md), put it beside a bus (docs/node.md), "
-        "or explain your own arm (docs/tasks.md)"
-    )
+    say("where next:")
+    for door, command, page in DOORS:
+        say(f"  {door:32} {command:34} {page}")
 
 
 def _print_parameters(parameters: list[dict[str, Any]]) -> None:

@@ -126,8 +126,8 @@ def explained(folder: Path, validate: Path, out: Path) -> dict[str, Any]:
     verdict = out.with_suffix(".json")
     run_zygos(
         "explain",
+        *(folder / "a.log", folder / "b.log"),
         *("--simulation", GAP / "cad.toml"),
-        *("--measured", folder / "a.log", folder / "b.log"),
         *("--validate", validate),
         *("--arm", GAP / "arm.toml"),
         *("-o", out, "--json", verdict),

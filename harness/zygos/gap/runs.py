@@ -158,6 +158,6 @@ def thirds(record: MeasuredRun, parts: int = 3) -> list[MeasuredRun]:
     if len(record.starts) < parts:
         raise ZygosError(
             f"{record.path}: one run of {len(record.starts)} arcs cannot be cut into {parts} parts, of which one must "
-            "hold what another says; remedy: give two runs (--measured A B), or one of at least 30 s"
+            "hold what another says; remedy: give two runs, or one of at least 30 s"
         )
     return [replace(record, starts=starts) for starts in np.array_split(record.starts, parts)]

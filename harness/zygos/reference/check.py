@@ -53,7 +53,7 @@ class Check:
         return f"no solution to compare, {result.validity}: {result.reason}", remedy(result, self.flight)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it in numbers, texts, lists and dictionaries: as `zygos check --json` has it."""
+        """All of it in numbers, texts, lists and dictionaries: as `zygos self-test --json` has it."""
         return {"arm": self.flight.arm.name, "rooms": [stage.as_json() for stage in self.stages]}
 
     def __repr__(self) -> str:

@@ -584,7 +584,7 @@ def cut(run: Run, parts: int) -> tuple[Run, ...]:
     if length * run.arm.period_s < limits.SHORTEST_S.value:
         raise ZygosError(
             f"{run.path or 'the run'}: one run of {len(run) * run.arm.period_s:.1f} s cannot be cut into {parts} "
-            "parts, of which one must hold what another says; remedy: give two runs (--measured A B), or a longer one"
+            "parts, of which one must hold what another says; remedy: give two runs, or a longer one"
         )
     own = run.cycles
     return tuple(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`zygos check`: compares the C library with numpy on a run."""
+"""`zygos self-test`: compares the C library with numpy on a run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def check_run(
     wanted: Wanted,
     command: Sequence[str],
 ) -> None:
-    """Compare C with numpy on a run; see `zygos check --help`."""
+    """Compare C with numpy on a run; see `zygos self-test --help`."""
     chosen = find_arm(run, arm_file)
     check_outputs([wanted.json, wanted.report], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
@@ -70,6 +70,6 @@ def command(
 
     Exit code 3 when a stage differs by more than its tolerance, or the run does not determine the parameters.
 
-    Example: zygos check out/run.blf
+    Example: zygos self-test out/run.blf
     """
-    check_run(run, arm, model, Wanted(json, report, details), context.obj or ["check"])
+    check_run(run, arm, model, Wanted(json, report, details), context.obj or ["self-test"])
