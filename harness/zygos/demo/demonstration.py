@@ -86,25 +86,9 @@ def explain_gap(folder: Path) -> dict[str, Any]:
     """
     logs = [GAP / "demo" / f"{name}.blf" for name in "abc"]
     verdict_file, report = folder / "gap.json", folder / "gap.html"
-    arguments: list[str | Path] = [
-        "--simulation",
-        GAP / "cad.toml",
-        "--measured",
-        logs[0],
-        logs[1],
-        "--validate",
-        logs[2],
-    ]
-    arguments += [
-        "--arm",
-        GAP / "arm.toml",
-        "-o",
-        folder / "explained.toml",
-        "--report",
-        report,
-        "--json",
-        verdict_file,
-    ]
+    arguments: list[str | Path] = [*logs[:2], "--simulation", GAP / "cad.toml", "--validate", logs[2]]
+    arguments += ["--arm", GAP / "arm.toml", "-o", folder / "explained.toml", "--report", report]
+    arguments += ["--json", verdict_file]
     run_zygos("explain", *arguments)
 
     # Scoring starts here: the verdict has been written, and nothing below changes it.
