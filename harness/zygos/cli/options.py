@@ -74,7 +74,7 @@ def of_map(context: typer.Context, path: Path | None) -> Path | None:
 
 def of_runs(context: typer.Context, runs: Any) -> Any:
     """Refuse a TOML file in the place of a recording."""
-    for path in runs if isinstance(runs, list) else [runs]:
+    for path in runs if isinstance(runs, list) else [runs] if runs is not None else []:
         if path.suffix.lower() == ".toml":
             found = toml_kind(path)
             raise ZygosError(
