@@ -139,7 +139,7 @@ def estimate_runs(
 def _correct(
     runs: Sequence[Path],
     arm_file: Path | None,
-    out: Path,
+    out: Path | None,
     model_file: Path | None,
     wanted: Wanted,
     command: Sequence[str],
