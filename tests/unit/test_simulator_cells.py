@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What an MJCF holds exactly or approximately: accelerations in MuJoCo beside those of zygos' own equations.
 
 Each file is read by zygos, and compiled and solved by MuJoCo. MuJoCo shares no code with the equations of zygos.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Torques beside the masses of a URDF: MuJoCo computes what the arm needs, and some drives report another scale."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Torques beside what the masses of a simulation weigh, joint by joint.
 
 The torque of a joint is fitted by the gravity of the simulation, its inertial torque, the acceleration of a rotor,

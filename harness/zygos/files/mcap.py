@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Signals of joints as messages of ROS 2 in an MCAP, which PlotJuggler, Foxglove and Rerun show."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The EDS or DCF of a CiA 402 drive: which of its process data hold angle and torque, and the scales of both.
 
 The files are those of CiA 306, the parameters of process data those of CiA 301: 0x1800 and following hold their

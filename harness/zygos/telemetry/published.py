@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """What a run says, as topics of ROS 2 for programs that draw signals."""
 
 from __future__ import annotations
