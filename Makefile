@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library amalgamation install install-node uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library amalgamation install dist install-node uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -74,21 +74,24 @@ $(BUILD)/command: FORCE
 	@echo "$$COMMAND" | cmp -s - $@ || echo "$$COMMAND" >$@
 
 $(PACKAGES:%=$(BUILD)/%): $(BUILD)/%: tools/package/%.in include/zygos/types.h $(BUILD)/command
-	sed -e 's/@VERSION@/$(shell sed -n 's/^#define ZYGOS_VERSION_M[A-Z]* //p' include/zygos/types.h | paste -sd .)/' \
+	sed -e 's/@VERSION@/$(shell sed -n 's/^#define ZYGOS_VERSION_[A-Z]* //p' include/zygos/types.h | paste -sd .)/' \
 		-e 's/@SIZES@/$(SIZES)/' $< >$@
 
 amalgamation: ## the library as one file: build/amalgamation/zygos.c, with its headers in zygos/ (BUILD=)
 	$(PYTHON) tools/amalgamate.py $(BUILD)/amalgamation
 
 install: export TO = $(DESTDIR)$(PREFIX)
-install: $(LIBRARY) $(PACKAGES:%=$(BUILD)/%) ## library, headers, DBC, pkg-config and CMake files (PREFIX=/usr/local DESTDIR=)
+install: $(LIBRARY) $(PACKAGES:%=$(BUILD)/%) ## library, headers, DBC, licence, pkg-config and CMake files (PREFIX=/usr/local DESTDIR=)
 	install -d "$$TO/include/zygos/priv" "$$TO/lib/cmake/zygos" "$$TO/lib/pkgconfig" "$$TO/share/zygos"
 	install -m 644 include/zygos/*.h "$$TO/include/zygos"
 	install -m 644 include/zygos/priv/*.h "$$TO/include/zygos/priv"
-	install -m 644 $(DATABASES:%=include/zygos/%) "$$TO/share/zygos"
+	install -m 644 $(DATABASES:%=include/zygos/%) LICENSE "$$TO/share/zygos"
 	install -m 644 $(LIBRARY) "$$TO/lib"
 	install -m 644 $(BUILD)/zygos.pc "$$TO/lib/pkgconfig"
 	install -m 644 $(BUILD)/zygosConfig.cmake $(BUILD)/zygosConfigVersion.cmake "$$TO/lib/cmake/zygos"
+
+dist: $(VENV)/.test ## a release of the newest commit: sdist, wheel, C sources, SBOM, checksums (dist/; the same bytes each time)
+	$(BIN)/python tools/dist.py dist
 
 UNIT := zygos-node@.service
 install-node: export TO = $(DESTDIR)$(PREFIX)
@@ -99,7 +102,7 @@ install-node: $(NODE) ## zygos-node and its unit for systemd (PREFIX=/usr/local 
 
 uninstall: export TO = $(DESTDIR)$(PREFIX)
 uninstall: ## remove what install and install-node put there (same PREFIX and DESTDIR)
-	cd "$$TO" && rm -f $(HEADERS:%=include/zygos/%) $(DATABASES:%=share/zygos/%) lib/libzygos.a lib/pkgconfig/zygos.pc \
+	cd "$$TO" && rm -f $(HEADERS:%=include/zygos/%) $(DATABASES:%=share/zygos/%) share/zygos/LICENSE lib/libzygos.a lib/pkgconfig/zygos.pc \
 		bin/zygos-node lib/systemd/system/$(UNIT) lib/cmake/zygos/zygosConfig.cmake lib/cmake/zygos/zygosConfigVersion.cmake
 	cd "$$TO" && for folder in include/zygos/priv include/zygos share/zygos lib/cmake/zygos; do rmdir $$folder 2>/dev/null || true; done
 
@@ -215,7 +218,7 @@ format: $(VENV)/.test ## rewrite Python and C in the house style
 	$(BIN)/clang-format -i $(C_FILES)
 
 clean: ## remove everything that was built
-	rm -rf $(VENV) out build examples/onboard/build harness/zygos/_native harness/*.egg-info
+	rm -rf $(VENV) out build dist examples/onboard/build harness/zygos/_native harness/*.egg-info
 	find harness tests tools -name __pycache__ -prune -exec rm -r {} +
 
 help: ## this list

@@ -5,6 +5,7 @@ puts the examples beside it.
 No Python.h is needed, and one wheel serves every Python 3.
 """
 
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,12 @@ from setuptools.command.build_py import build_py
 ROOT = Path(__file__).parent
 PACKAGED = ("paper", "lively", "spatial", "seven", "gap", "telemetry", "pendulum", "notebook", "urdf")
 """The folders of examples/ that a wheel has: those of `zygos example` (harness/zygos/files/examples.py)."""
+
+
+def version() -> str:
+    """That of the C library: include/zygos/types.h has the only one that is written by hand."""
+    text = (ROOT / "include" / "zygos" / "types.h").read_text(encoding="utf-8")
+    return ".".join(re.findall(r"^#define ZYGOS_VERSION_(?:MAJOR|MINOR|PATCH) (\d+)$", text, re.M))
 
 
 class BuildWithLibrary(build_py):
@@ -52,4 +59,4 @@ class PlatformWheel(bdist_wheel):
         return "py3", "none", super().get_tag()[2]
 
 
-setup(cmdclass={"build_py": BuildWithLibrary, "bdist_wheel": PlatformWheel})
+setup(version=version(), cmdclass={"build_py": BuildWithLibrary, "bdist_wheel": PlatformWheel})

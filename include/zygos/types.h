@@ -256,7 +256,8 @@ static const unsigned char *const zygos_capacities_used ZYGOS_KEPT = &ZYGOS_CAPA
 #endif
 
 #define ZYGOS_VERSION_MAJOR 0
-#define ZYGOS_VERSION_MINOR 1
+#define ZYGOS_VERSION_MINOR 2
+#define ZYGOS_VERSION_PATCH 0
 
 /// The largest number of instants that a double counts exactly.
 #define ZYGOS_MAX_INSTANTS 9007199254740992.0

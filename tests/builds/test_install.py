@@ -19,6 +19,7 @@ INSTALLED = {
     "lib/cmake/zygos/zygosConfig.cmake",
     "lib/cmake/zygos/zygosConfigVersion.cmake",
     "lib/pkgconfig/zygos.pc",
+    "share/zygos/LICENSE",
     "share/zygos/zygos.dbc",
     "share/zygos/zygos-coarse-gyro.dbc",
 }
@@ -136,7 +137,7 @@ def sources(tmp_path: Path) -> Path:
     tree = tmp_path / "my sources"
     for folder in ("include", "tools/package"):
         shutil.copytree(ROOT / folder, tree / folder)
-    for name in ("Makefile", "CMakeLists.txt", "c/flags.txt", *(f"c/{TREE[room]}/{room}.c" for room in TREE)):
+    for name in ("Makefile", "CMakeLists.txt", "LICENSE", "c/flags.txt", *(f"c/{TREE[room]}/{room}.c" for room in TREE)):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tree / name)
     return tree
@@ -176,7 +177,7 @@ def test_links_through_pkg_config(compiler: str, standard: str, source: str, ins
         outside,
         PKG_CONFIG_PATH=str(installed / "lib" / "pkgconfig"),
     )
-    assert version.strip() == VERSION
+    assert version.strip() == f"{VERSION}.0"
 
 
 def test_cmake_finds_no_other_version(installed: Path, outside: Path) -> None:
@@ -190,15 +191,35 @@ def test_cmake_finds_no_other_version(installed: Path, outside: Path) -> None:
         assert f'compatible with requested version "{other}"' in " ".join(done.stderr.split())
 
 
-def test_cmake_alone_installs_nothing(tmp_path: Path) -> None:
-    cmake = tool("cmake")
-    run([cmake, "-S", str(ROOT), "-B", "b"], tmp_path)
-    done = subprocess.run(
-        [cmake, "--install", "b", "--prefix", "p"], cwd=tmp_path, capture_output=True, text=True, check=False
+def test_cmake_installs_the_same_tree_and_obeys_the_build_type(sources: Path, small: Path, tmp_path: Path) -> None:
+    """Another project finds it, with its capacities, and no option of ours takes the place of the user's."""
+    prefix, build = tmp_path / "by cmake", tmp_path / "b"
+    options = ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_C_FLAGS=-O1", "-DZYGOS_CAPACITIES=ZYGOS_MAX_JOINTS=2"]
+    run([tool("cmake"), "-S", str(sources), "-B", str(build), "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON", *options], tmp_path)
+    commands = (build / "compile_commands.json").read_text()
+    assert " -O1 -g " in commands and "-O2" not in commands and "-ffp-contract=off" in commands
+    run([tool("cmake"), "--build", str(build)], tmp_path)
+    run([tool("cmake"), "--install", str(build), "--prefix", str(prefix)], tmp_path)
+    assert files(prefix) == INSTALLED | {"lib/cmake/zygos/zygosConfig-debug.cmake"}
+    assert through_cmake(small, FIND, f"-DCMAKE_PREFIX_PATH={prefix}") == "2"
+    assert through_pkg_config(prefix, small, "gcc", "c11", "program.c") == "2"
+
+
+def test_a_project_around_exports_the_library_with_its_own(sources: Path, small: Path, tmp_path: Path) -> None:
+    """A static library that links zygos, in an export set of its own; warnings are those of that project."""
+    (small / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.16)\nproject(outer C)\n"
+        f'add_subdirectory("{sources}" zygos)\nadd_library(outer STATIC program.c)\n'
+        "target_link_libraries(outer PUBLIC zygos::zygos)\n"
+        "install(TARGETS outer EXPORT outer ARCHIVE DESTINATION lib)\n"
+        "install(EXPORT outer FILE outerConfig.cmake NAMESPACE outer:: DESTINATION lib/cmake/outer)\n"
     )
-    assert done.returncode != 0
-    assert "remedy: make install" in done.stderr
-    assert not (tmp_path / "p").exists()
+    run([tool("cmake"), "-S", ".", "-B", "b", "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON"], small)
+    commands = (small / "b" / "compile_commands.json").read_text()
+    assert "-O2" in commands and "-Wconversion" not in commands
+    run([tool("cmake"), "--build", "b"], small)
+    run([tool("cmake"), "--install", "b", "--prefix", str(tmp_path / "p")], small)
+    assert "zygos::zygos" in (tmp_path / "p" / "lib" / "cmake" / "outer" / "outerConfig.cmake").read_text()
 
 
 def unlinked(said: str) -> str:

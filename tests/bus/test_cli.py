@@ -75,7 +75,7 @@ def test_estimate_where_no_truth_exists(recording: Path, tmp_path: Path, capsys:
     assert content["validity"] == "valid"
     model = load_model(out)
     arm = load_arm(tmp_path / "arm.toml")
-    values = [parameter["value"] for parameter in content["parameters"]]
+    values = [one["value"] for one in content["values"]]
     assert np.allclose(model.base_values(arm), values, rtol=1e-12)
     assert {quantity.source for quantity in model.parameters.values()} == {"zygos"}
 
@@ -124,7 +124,7 @@ def test_effects_of_a_model_are_learned(recording: Path, tmp_path: Path, capsys:
     assert run("estimate", log, "-o", out) == 3
     assert "only if --model names them" in capsys.readouterr().err
     plant.write_text(bodies + FRICTION.replace("0.8", "0.0"))
-    assert run("estimate", log, "-o", out, "--model", plant, "--json", numbers) == 0
+    assert run("estimate", log, "--energy", "-o", out, "--model", plant, "--json", numbers) == 0
     assert "motor_coulomb2" in capsys.readouterr().out
     friction, *others = load_model(out).effects
     assert friction.value == pytest.approx(0.8, rel=0.05)
@@ -137,7 +137,7 @@ def test_effects_of_a_model_are_learned(recording: Path, tmp_path: Path, capsys:
     rooms = {room["room"]: room for room in json.loads(numbers.read_text())["rooms"]}
     assert rooms["solution"]["compared"] == 13
     # the model that was learned is one to begin with
-    assert run("estimate", log, "-o", tmp_path / "again.toml", "--model", out) == 0
+    assert run("estimate", log, "--energy", "-o", tmp_path / "again.toml", "--model", out) == 0
     assert load_model(tmp_path / "again.toml") == load_model(out)
 
 
@@ -169,7 +169,7 @@ def test_a_friction_that_noise_makes_negative_is_written_as_none(brief_recording
             prior = example_with(tmp_path / "example", "model.toml")
             prior.write_text(prior.read_text() + f'[[effect]]\nkind = "{kind}"\njoint = "{joint}"\nvalue = 1.0\n')
             out, numbers = tmp_path / "m.toml", tmp_path / "m.json"
-            command = ("estimate", brief_recording, "-o", out, "--model", prior, "--json", numbers)
+            command = ("estimate", brief_recording, "--energy", "-o", out, "--model", prior, "--json", numbers)
             assert run(*command) == 0
             found = json.loads(numbers.read_text())["parameters"][-1]["value"]
             expected = found if kind == "cubic_stiffness" else max(found, 0.0)
