@@ -11,8 +11,8 @@
 
 Files       load_arm save_arm load_model save_model load_run save_run load_scenario example write_example
 Runs        Run make_run simulate simulate_with_truth
-Questions   estimate refine estimate_ground payload check check_arm explain predict
-Answers     Estimation Refinement GroundEstimate Payload Score Check ArmCheck Explanation Prediction write_report
+Questions   estimate refine estimate_ground payload check check_arm explain predict bound
+Answers     Estimation Refinement GroundEstimate Payload Score Check ArmCheck Explanation Prediction Bound write_report
 Errors      ZygosError Undecided
 
 docs/python.md has each of them with an example. Quantities are in SI units; arrays are numpy's. What is listed here is
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from zygos.ground.score import Score
     from zygos.model.model import Model, Quantity, load_model, save_model
     from zygos.reference.check import Check, check
+    from zygos.refinement.bound import Bound, bound
     from zygos.refinement.refine import Refinement
     from zygos.refinement.refine import refine_runs as refine
     from zygos.reports import write_report
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Arm": "arm",
     "ArmCheck": "audit.check",
+    "Bound": "refinement.bound",
     "Check": "reference.check",
     "Cycles": "runs.cycles",
     "Effect": "effects",
@@ -67,6 +69,7 @@ _HOMES = {
     "Simulation": "simulation.run",
     "Undecided": "errors",
     "ZygosError": "errors",
+    "bound": "refinement.bound",
     "check": "reference.check",
     "check_arm": "audit.check",
     "effect": "effects",
@@ -95,6 +98,7 @@ _HOMES = {
 __all__ = [
     "Arm",
     "ArmCheck",
+    "Bound",
     "Check",
     "Cycles",
     "Effect",
@@ -113,6 +117,7 @@ __all__ = [
     "Undecided",
     "ZygosError",
     "__version__",
+    "bound",
     "check",
     "check_arm",
     "effect",

@@ -63,7 +63,7 @@ def _of_prediction(result: Prediction) -> tuple[Answer, Provenance]:
 
 
 def _of_check(result: Check) -> tuple[Answer, Provenance]:
-    return reference_sections.answer_of(result, draw=True), _provenance("self-test", [result.run.path])
+    return reference_sections.answer_of(result, draw=True), _provenance("check", [result.run.path])
 
 
 def _of_arm_check(result: ArmCheck) -> tuple[Answer, Provenance]:

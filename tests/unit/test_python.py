@@ -7,7 +7,7 @@ import inspect
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import pytest
 
 import zygos
 from conftest import EXAMPLE, ROOT, need
+from zygos.report.values import Valued
 
 PAGE = (ROOT / "docs" / "python.md").read_text()
 
@@ -71,6 +72,43 @@ def test_users_of_mypy_see_types(tmp_path: Path) -> None:
     need("No module named mypy" not in done.stderr, "mypy")
     said = [(line.partition(":")[0], line.rpartition("[")[2]) for line in done.stdout.splitlines() if "[" in line]
     assert said == [("wrong.py", "arg-type]"), ("wrong.py", "attr-defined]")]
+
+
+# ------------------------------------------------------------------------------------------ values
+
+
+@dataclass(frozen=True)
+class Few(Valued):
+    """An answer of two parameters, of which one has no value."""
+
+    names: tuple[str, ...] = ("k1", "<b1>")
+    units: tuple[str, ...] = ("Nm/rad", "Nms/rad")
+    value: np.ndarray = field(default_factory=lambda: np.array([1000.0, np.nan]))
+    sigma: np.ndarray = field(default_factory=lambda: np.array([0.5, np.nan]))
+    half95: np.ndarray = field(default_factory=lambda: np.array([1.0, np.nan]))
+
+
+def test_values_are_there_by_name_as_a_table_and_as_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    few = Few()
+    assert (float(few["k1"]), few["k1"].unit, few["k1"].half95) == (1000.0, "Nm/rad", 1.0)
+    assert str(few["k1"]).startswith("k1 = 1,000.00 ± 1") and str(few["<b1>"]) == "<b1>: no value"
+    with pytest.raises(KeyError, match="there is no 'k2'; remedy: one of k1, <b1>"):
+        few["k2"]
+    assert few.to_frame().rows()[0] == ("k1", "Nm/rad", 1000.0, 0.5, 1.0)
+    page = few._repr_html_()
+    assert "<th>k1</th><td>1,000.00</td>" in page and "&lt;b1&gt;" in page and "<b1>" not in page
+    (drawn,) = few.plot({"k1": 990.0}).containers
+    assert drawn.lines[0].get_xdata() == pytest.approx([100.0 * 10.0 / 990.0])
+
+
+@pytest.mark.parametrize(
+    ("library", "call", "extra"), [("polars", "to_frame", "tables"), ("matplotlib.pyplot", "plot", "view")]
+)
+def test_a_missing_extra_is_named(library: str, call: str, extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(zygos.ZygosError, match=rf"zygos\[{extra}\]"):
+        getattr(Few(), call)()
 
 
 # ------------------------------------------------------------------------------------------ runs and arrays

@@ -19,12 +19,13 @@ from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_change, about_left_out, about_noise, shows_change
 from zygos.model.model import Model, Quantity
 from zygos.native.flight import Drift, Estimate, Flight
+from zygos.report.values import Valued
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Estimation:
+class Estimation(Valued):
     """What the flight library learned: p parameters, those of the arm first, then the columns of the effects."""
 
     watch: Watch

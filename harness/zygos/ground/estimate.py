@@ -25,6 +25,7 @@ from zygos.ground.twin import predicted_load
 from zygos.model.correlation import Correlation
 from zygos.model.model import Model, Quantity
 from zygos.quantiles import student_factor
+from zygos.report.values import Valued
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class Elsewhere:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GroundEstimate:
+class GroundEstimate(Valued):
     """What joint rows say of an arm: p parameters, those of the arm first, then the effects; N joints, R runs."""
 
     arm: Arm

@@ -38,6 +38,7 @@ from zygos.refinement.rivals import Rival, rivals, typical_torque
 from zygos.refinement.search import REMEDY, Found, Search
 from zygos.refinement.sections import report_refinement
 from zygos.refinement.start import LEARNED, begin
+from zygos.report.values import Valued
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -76,7 +77,7 @@ class Rule:
 
 
 @dataclass(frozen=True, eq=False)
-class Refinement:
+class Refinement(Valued):
     """What a refinement has found; p parameters, e effects."""
 
     arm: Arm
