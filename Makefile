@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library amalgamation install dist install-node uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library amalgamation install dist install-node uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference docs lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -50,6 +50,10 @@ $(VENV)/.core: pyproject.toml setup.py constraints.txt
 
 $(VENV)/.test: $(VENV)/.core
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,lint]'
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.core
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
 	touch $@
 
 $(NATIVE): $(SOURCES) | $(VENV)/.core
@@ -199,8 +203,12 @@ demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo and docs/ga
 	$(BIN)/python -m zygos.demo
 	cp out/demo/gap.svg docs/gap.svg
 
-reference: build $(VENV)/.test ## the pages in docs/reference/: keys of the files, codes of the C library, JSON outputs
+reference: build $(VENV)/.test ## the pages in docs/reference/: command line, keys of the files, codes of the C library, JSON outputs
 	$(BIN)/python tools/reference.py
+
+docs: build $(VENV)/.docs ## the documentation as a site for reading offline (out/docs/index.html); a broken link ends it
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs $${ZYGOS_OUT:-out}/docs
+	cp $${ZYGOS_OUT:-out}/docs/README.html $${ZYGOS_OUT:-out}/docs/index.html
 
 lock: ## resolve all Python packages anew and write their versions (constraints.txt)
 	tools/lock.sh $(PYTHON)

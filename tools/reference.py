@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Writes the reference pages in docs/reference/: keys of files, codes and configuration of the C library, JSON
-outputs, limits.
+"""Writes the reference pages in docs/reference/: command line, keys of files, codes and configuration of the C
+library, JSON outputs, limits.
 
 Usage: reference.py [FOLDER]
 """
@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from reference_pages.codes import codes_page
+from reference_pages.commands import commands_page
 from reference_pages.config import config_page
 from reference_pages.keys import FILES, answers_page, keys_page
 from reference_pages.limits import limits_page
@@ -25,6 +26,7 @@ def pages() -> dict[str, str]:
     others = {
         "answers.md": answers_page(),
         "codes.md": codes_page(),
+        "commands.md": commands_page(),
         "config.md": config_page(),
         "json.md": json_page(),
         "limits.md": limits_page(),
