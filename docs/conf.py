@@ -49,6 +49,7 @@ def with_navigation(app: Any, page: str, text: list[str]) -> None:
 
 def to_the_repository(app: Any, page: str, text: list[str]) -> None:
     """Links to files outside this folder are shown as their paths: the site has no copy of them."""
+
     def shown(found: re.Match[str]) -> str:
         target = found[2].partition("#")[0]
         path = (FOLDER / page).parent.joinpath(target).resolve()
