@@ -5,7 +5,6 @@ import inspect
 from typing import Any
 
 from reference_pages.markdown import page, table
-
 from zygos.cli import GROUPS, load
 
 

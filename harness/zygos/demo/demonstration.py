@@ -39,9 +39,9 @@ from zygos.simulation.score import score
 EXAMPLE, GAP = Path("examples/paper"), Path("examples/gap")
 SNAPSHOT_CYCLES = 20
 DOORS = (
-    ("link it into a flight computer:", "make -C examples/onboard", "docs/integrate.md"),
-    ("put it beside a bus:", "zygos listen --help", "docs/node.md"),
-    ("explain your own arm:", "zygos explain --help", "docs/tasks.md"),
+    ("link it into a flight computer:", "make -C examples/onboard", "docs/tutorial-flight-computer.md"),
+    ("put it beside a bus:", "zygos listen --help", "docs/tutorial-bus.md"),
+    ("explain your own arm:", "zygos explain --help", "docs/tutorial-arm.md"),
 )
 """Where to go on: what one does, the command that it begins with, and the page that leads through it."""
 GAPS = {"as_delivered": "as delivered", "refit": "refit", "closed": "closed", "floor": "floor"}
