@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """Writes the C library as one file: the sources in the order in which a frame passes them, with the headers beside."""
 
 import re

@@ -28,7 +28,8 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
 C_SOURCES = (
-    "c/*.c",
+    "amalgamation/zygos.c",
+    "c/*/*.c",
     "c/flags.txt",
     "include/**/*.h",
     "include/**/*.dbc",
@@ -36,7 +37,7 @@ C_SOURCES = (
     "CMakeLists.txt",
     "LICENSE",
 )
-"""What the C library is built from by CMake, or by a compiler alone."""
+"""What the C library is built from by CMake, or by a compiler alone: its sources, and the same as one file."""
 
 
 def git(*words: str) -> bytes:
@@ -156,6 +157,7 @@ def main(folder: Path) -> None:
         sorted_tar(sdist, at)
         sorted_zip(wheel, at)
         version = sdist.name.removeprefix("zygos-").removesuffix(".tar.gz")
+        subprocess.run([sys.executable, sources / "tools" / "amalgamate.py", sources / "amalgamation"], check=True)
         names = sorted({path for pattern in C_SOURCES for path in sources.glob(pattern)})
         held = [(str(path.relative_to(sources)), path.read_bytes(), path.stat().st_mode) for path in names]
         write_tar(folder / f"zygos-c-{version}.tar.gz", f"zygos-c-{version}", held, at)

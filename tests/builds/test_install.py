@@ -137,7 +137,13 @@ def sources(tmp_path: Path) -> Path:
     tree = tmp_path / "my sources"
     for folder in ("include", "tools/package"):
         shutil.copytree(ROOT / folder, tree / folder)
-    for name in ("Makefile", "CMakeLists.txt", "LICENSE", "c/flags.txt", *(f"c/{TREE[room]}/{room}.c" for room in TREE)):
+    for name in (
+        "Makefile",
+        "CMakeLists.txt",
+        "LICENSE",
+        "c/flags.txt",
+        *(f"c/{TREE[room]}/{room}.c" for room in TREE),
+    ):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tree / name)
     return tree

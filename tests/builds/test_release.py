@@ -86,7 +86,14 @@ def test_two_releases_are_equal_and_hold_what_they_should(tmp_path: Path) -> Non
     with tarfile.open(first / f"zygos-c-{version}.tar.gz") as tar:
         tar.extractall(tmp_path, filter="data")
     tree = tmp_path / f"zygos-c-{version}"
-    assert sorted(path.name for path in tree.iterdir()) == ["CMakeLists.txt", "LICENSE", "c", "include", "tools"]
+    assert sorted(path.name for path in tree.iterdir()) == [
+        "CMakeLists.txt",
+        "LICENSE",
+        "amalgamation",
+        "c",
+        "include",
+        "tools",
+    ]
     run([tool("cmake"), "-S", str(tree), "-B", "b", "-DCMAKE_C_FLAGS=-O0"], tmp_path)
     run([tool("cmake"), "--build", "b"], tmp_path)
     run([tool("cmake"), "--install", "b", "--prefix", "p"], tmp_path)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """The library as one file: it compiles without a warning, and every bit of an estimate is that of the many files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /// zygos/priv/numbers.h: small functions of numbers, vectors and bytes, which are inline because every stage needs
 /// them.
 
