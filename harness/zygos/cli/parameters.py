@@ -21,7 +21,10 @@ def list_parameters(arm_file: Path, json: str | None) -> None:
         write_json(json, _report(arm, grouped, unseen))
     if quiet(json):
         return
-    rows = [(one.name, one.unit, said) for one, said in zip(structure.parameters, structure.grouping, strict=True)]
+    rows = [
+        (one.name, one.unit, "itself" if said == one.name else said)
+        for one, said in zip(structure.parameters, structure.grouping, strict=True)
+    ]
     table(("parameter", "unit", "stands for"), rows)
     if grouped:
         say(f"seen only as parts of these: {', '.join(grouped)}")
