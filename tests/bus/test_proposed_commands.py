@@ -47,18 +47,15 @@ PROPOSALS = {
     "convert, no arm file": Proposal(
         (*("convert", foreign.EXAMPLE / "run.blf", "--dbc", foreign.EXAMPLE / "arm.dbc"),
          *("--map", "{in}/alone/map.toml", "-o", "{out}/run.npz")), 2, r"remedy: give it with (--arm)"),
-    "check-arm": Proposal(("check-arm", "{in}/arm.toml", "{in}/spikes.npz"), 3, r"remedy: zygos (convert [^,]+),"),
-    "check-arm, swapped": Proposal(("check-arm", "{run}", "{in}/arm.toml"), 2, r"`zygos ([^`]+)`", (0, 3)),
-    "estimate": Proposal(("estimate", "{run}", "--arm", "{in}/arm.toml", "-o", "{out}/m.toml"), 0,
-                         r"better: zygos (.+?BETTER\.toml)"),
+    "check-arm": Proposal(("check-arm", "{in}/spikes.npz"), 3, r"remedy: zygos (convert [^,]+),"),
+    "check-arm, swapped": Proposal(("check-arm", "{in}/arm.toml"), 2, r"`zygos ([^`]+)`", (0, 3)),
     "estimate, swapped": Proposal(("estimate", "{in}/arm.toml", "-o", "{out}/m.toml"), 2, r"`zygos ([^`]+)`"),
     "explain": Proposal(
-        (*("explain", "--simulation", "{run}", "--measured", "{run}", "--arm", "{in}/arm.toml"),
+        (*("explain", "{run}", "--simulation", "{run}", "--arm", "{in}/arm.toml"),
          *("-o", "{out}/m.toml", "--next-motion", "{out}/next.toml")), 2, r"`zygos (estimate [^`]+)`"),
-    "plan": Proposal(("plan", "{in}/planar.toml", "--model", "{in}/bodies.toml", "-o", "{out}/s.toml",
+    "plan": Proposal(("plan", "--arm", "{in}/planar.toml", "--model", "{in}/bodies.toml", "-o", "{out}/s.toml",
                       "--rate", "1.5", "--period", "4", "--harmonics", "3"), 2, r"give (--torque-noise)"),
     "predict": Proposal(("predict", "{in}/model.toml", "{run}"), 2, r"`zygos ([^`]+)`"),
-    "refine": Proposal(("refine", "{in}/arm.toml", "-o", "{out}/m.toml"), 2, r"`zygos ([^`]+)`"),
     "refine, gyro": Proposal(("refine", "{run}", "--arm", "{in}/late.toml", "-o", "{out}/m.toml"), 2,
                              r"remedy: `zygos (estimate)`", (0, 3)),
     "listen": Proposal(("listen", "--arm", "{in}/arm.toml", "-i", "virtual", "-c", "proposed", "--duration", 0.2,
@@ -113,7 +110,7 @@ def carried_out(name: str, proposed: str, command: list[str], filled: Callable[[
     model = "{out}/new.toml" if proposed.startswith("estimate") else "{in}/model.toml"
     files = {"RUN...": run_file, "RUN": run_file, "ARM.toml": "{in}/arm.toml", "MODEL.toml": model}
     files["NEW"] = "{out}/new/run" + new
-    return shlex.split(filled(FILE.sub(lambda found: files[found[0]], proposed).replace("BETTER", "{out}/better")))
+    return shlex.split(filled(FILE.sub(lambda found: files[found[0]], proposed)))
 
 
 @pytest.mark.slow(but=["convert, no arm file", "predict", "listen", "refine, gyro"])
