@@ -302,7 +302,7 @@ def command(
             "--simulation",
             metavar="ROBOT.xml|ROBOT.urdf",
             help="The MJCF or URDF of an arm on the ground, which -o CORRECTED.xml or .urdf writes with this estimate. "
-            "It gives what the runs do not determine. Without an arm file, runs are tables (docs/simulators.md).",
+            "It gives what the runs do not determine. Without an arm file, runs are tables.",
         ),
     ] = None,
     flight: Annotated[
