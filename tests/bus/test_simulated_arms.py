@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT
 """A UR10e and a Panda in MuJoCo with hidden friction and rotors: the file that lacks them is corrected.
 
 Joint frames and inertials are those of MuJoCo Menagerie (google-deepmind/mujoco_menagerie): universal_robots_ur10e at
