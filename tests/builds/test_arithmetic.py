@@ -47,6 +47,11 @@ def test_unsafe_arithmetic_is_refused(compiler: str, flag: str, tmp_path: Path) 
     assert ran.stdout == "-27"
 
 
+def test_the_manual_names_the_flags() -> None:
+    manual = (ROOT / "docs" / "integrate.md").read_text()
+    assert [flag for _, flags in CASES for flag in flags.split()[:1] if f"`{flag}`" not in manual] == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_usual_flags_are_accepted(compiler: str, tmp_path: Path) -> None:

@@ -81,11 +81,13 @@ def test_stamps_of_slcan_start_again_every_minute(frames: Log, times: list[float
 
 @pytest.mark.parametrize("name", [name for name, kind in FORMATS.items() if kind.fd])
 def test_frames_of_can_fd(name: str, arm: Arm, frames: Log, times: list[float], tmp_path: Path) -> None:
-    """They are marked, count as rejected, and the message says what they are."""
-    path = write_dialect(tmp_path, name, frames, times, stamps="from zero", fd=True)
-    log = bus.read_log(path)
-    assert log.damage == ()
-    assert set(log.frames["flags"].tolist()) == {FD}
+    """Whatever their stamps and direction, they are marked, count as rejected, and the message says what they are."""
+    for stamps, tx in [(stamps, tx) for own, stamps, tx in MATRIX if own == name]:
+        path = write_dialect(tmp_path, name, frames, times, stamps=stamps, tx=tx, fd=True)
+        log = bus.read_log(path)
+        assert log.damage == ()
+        assert set(log.frames["flags"].tolist()) == {FD}
+        assert log.frames["id"].tolist() == frames["id"].tolist()
     run = load_run(path, arm)
     found = estimate(run)
     assert found.watch.flight.fd_frames == len(frames)

@@ -375,6 +375,16 @@ def test_an_angle_in_another_unit(
     assert next(iter(found.values())).startswith(f"in {unit}, not in rad")
 
 
+@pytest.mark.slow
+def test_counts_that_are_not_the_declared_ones_accuse_no_other_angle(
+    runs: dict[str, tuple[Arm, list[Cycles]]],
+) -> None:
+    arm, clean = runs["lively"]
+    found = audit(arm, rounded("theta", 0, 1.0)(scaled("theta", 0, 2**16 / (2 * np.pi))(clean[0])))
+    assert not any(one.fault.startswith(("scaled", "in turn")) for one in found.findings if one.signal != M1)
+    assert named(found)[M1].startswith("in counts")
+
+
 @pytest.mark.slow(only=["rpm*", "deg/s*"])
 @pytest.mark.parametrize(("unit", "factor"), [("deg/s", 180.0 / np.pi), ("rpm", 30.0 / np.pi), ("mrad/s", 1e3)])
 def test_a_gyro_in_another_unit_is_not_turned(

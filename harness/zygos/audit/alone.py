@@ -120,7 +120,9 @@ def check_steps(case: Case) -> None:
     for name, kind, i in case.names:
         if kind == "omega":
             _gyro_noise(case, name, i)
-        elif kind != "tau" and not case.faulty(name, "scaled", "in "):
+        elif kind != "tau" and not (
+            case.faulty(name, "scaled", "in ") or (name in case.undecided and case.beside_counts(kind, i))
+        ):
             _angle_steps(case, name, kind, i)
     # a torque's own noise cannot be separated from the encoder noise that a controller passes on, if the controller
     # reads different values

@@ -72,6 +72,11 @@ class Case:
         """Whether a signal has a fault, or one that begins with one of these texts."""
         return any(f.signal == signal and f.fault.startswith(begins or ("",)) for f in self.findings)
 
+    def beside_counts(self, kind: Kind, i: int) -> bool:
+        """Whether the other angle of the joint is in counts, whose number in a turn is known only from the arm file."""
+        others = [name for name, one, j in self.names if j == i and one in ANGLES and one != kind and kind in ANGLES]
+        return any(self.faulty(name, "in counts") for name in others)
+
     def late(self, kind: Kind, i: int) -> bool:
         """Whether a reading is late or early, alone or with all others of its kind."""
         signals = (self.name(kind, i), GROUPS[kind], *(["angles"] if kind in ANGLES else []))

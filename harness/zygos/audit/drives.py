@@ -146,7 +146,15 @@ def find_change(case: Case, change: Change, ratio: float, rival: Change | None, 
         i = change.joints[0]
         case.find(case.name(change.kind, i), "inverted", evidence, remedies.inverted(case.arm, change.kind, i))
     else:
-        find_scale(case, change.kind, change.joints[0], _scale(case, change) or Scale(change.factor), evidence)
+        i = change.joints[0]
+        if case.beside_counts(change.kind, i):
+            name = case.name(change.kind, i)
+            case.undecided.add(name)
+            case.notes.append(
+                f"{name}: its scale is not decided, because the other angle is in counts: check counts_per_turn"
+            )
+            return
+        find_scale(case, change.kind, i, _scale(case, change) or Scale(change.factor), evidence)
 
 
 def _scale(case: Case, change: Change) -> Scale | None:
