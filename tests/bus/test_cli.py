@@ -26,10 +26,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from runs_support import trajectory_of
 from schema_support import hold
+from telemetry_support import drawn_signals
 
 from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
+from zygos.can.run import read_run
 from zygos.cli import simulate as simulate_command
 from zygos.cli.live import line_of, table_of
 from zygos.demo import demonstration as demo
@@ -63,6 +65,19 @@ def lasting(folder: Path, duration_s: float) -> Path:
 def test_simulate_leaves_a_run_and_its_arm_and_no_truth(recording: Path) -> None:
     assert sorted(path.name for path in recording.parent.iterdir()) == ["arm.toml", "run.blf"]
     assert recording.with_name("arm.toml").read_bytes() == (EXAMPLE / "arm.toml").read_bytes()
+
+
+def test_simulated_signals_for_programs_that_draw_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario, log = lasting(tmp_path / "example", 2.0), tmp_path / "run.blf"
+    assert run("simulate", scenario, "-o", log, "--mcap", tmp_path / "drawn.csv") == 2
+    assert "give it the suffix .mcap" in capsys.readouterr().err and not log.exists()
+    assert run("simulate", scenario, "-o", log, "--mcap", tmp_path / "drawn.mcap") == 0
+    messages, _ = drawn_signals(tmp_path / "drawn.mcap")
+    arm = load_arm(tmp_path / "arm.toml")
+    cycles = read_run(log, arm).cycles
+    states = [message for _, message in messages["/measured/joint_states"]]
+    np.testing.assert_allclose([state.position for state in states[: len(cycles)]], cycles.q, atol=1e-5)
+    assert abs(len(states) - len(cycles)) <= 1 and len(messages["/measured/motor_states"]) == len(states)
 
 
 @pytest.mark.slow
