@@ -87,7 +87,7 @@ def main(folder: Path) -> None:
     sources = sorted(str(path) for path in [*(ROOT / "c").glob("*/*.c"), *HOST.glob("*.c")])
     # the simulator takes three times as long at -O2; no optimisation changes a result
     command = [*compiler, *FLAGS.split(), "-O3", *extra]
-    command += [f"-DZYGOS_DECLARATIONS_DIGEST={digest_of(text)}u", *INCLUDES, "-shared", *sources]
+    command += [f"-DZYGOS_DECLARATIONS_DIGEST={digest_of(text)}u", *INCLUDES, "-shared", *sources, "-lm"]
     partial = folder / "libzygos.so.partial"
     subprocess.run([*command, "-o", str(partial)], check=True)
     write_binding(text, folder / "declarations.py")

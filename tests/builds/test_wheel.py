@@ -16,6 +16,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from build_support import emulated
 
 from conftest import ROOT
 from zygos.files.examples import EXAMPLES
@@ -26,17 +27,17 @@ INPUTS = ("c", "docs", "examples", "harness", "include", "tools", *"LICENSE MANI
 BUILDERS = ("pyproject.toml", "setup.py")
 
 
-def outside(command: list[str | Path], folder: Path) -> subprocess.CompletedProcess[str]:
+def outside(command: list[str | Path], folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """A command in another folder, without what points this process to the checkout. A build is optimised less."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "MAKE", "PIP_"))}
     return subprocess.run(
-        command, cwd=folder, env={**kept, "CFLAGS": "-O1"}, capture_output=True, text=True, check=False
+        command, cwd=folder, env={**kept, "CFLAGS": "-O1", **environment}, capture_output=True, text=True, check=False
     )
 
 
-def done(command: list[str | Path], folder: Path) -> str:
+def done(command: list[str | Path], folder: Path, **environment: str) -> str:
     """Standard output of a command that must succeed."""
-    ended = outside(command, folder)
+    ended = outside(command, folder, **environment)
     assert ended.returncode == 0, f"{command}\n{ended.stdout}{ended.stderr}"
     return ended.stdout
 
@@ -69,10 +70,10 @@ def wheel(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built(archive, tmp_path_factory.mktemp("wheel"))
 
 
-def built(source: Path, folder: Path) -> Path:
+def built(source: Path, folder: Path, **environment: str) -> Path:
     """What `pip wheel` makes of a source distribution or of a checkout, without downloading anything."""
     options = ["--no-deps", "--no-build-isolation", "--no-index", "--no-cache-dir", "--disable-pip-version-check"]
-    done([sys.executable, "-m", "pip", "wheel", *options, "-w", folder, source], folder)
+    done([sys.executable, "-m", "pip", "wheel", *options, "-w", folder, source], folder, **environment)
     (found,) = folder.glob("*.whl")
     return found
 
@@ -219,3 +220,36 @@ print(folder, found.validity, zygos.check(run).equal, zygos.check_arm(run).ok, z
     assert Path(folder).is_relative_to(python.parents[1])
     assert said == ["valid", "True", "True"]
     assert version == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+
+
+CALLS = """
+#include <dlfcn.h>
+#include <stdint.h>
+#include <stdio.h>
+int main(int count, char **names)
+{
+    void *library = dlopen(names[count - 1], RTLD_NOW);
+    if (library == NULL) { (void)puts(dlerror()); return 1; }
+    uint32_t (*digest)(void) = (uint32_t (*)(void))dlsym(library, "zygos_declarations_digest");
+    (void)printf("%u\\n", (unsigned)digest());
+    return 0;
+}
+"""
+
+
+def test_a_wheel_for_aarch64(archive: Path, tmp_path: Path) -> None:
+    """Built across, as docs/python.md says; the library is loaded by the emulator, and fits the declarations beside it.
+
+    There is no Python for aarch64 here, so that nothing else of the wheel runs.
+    """
+    emulator = emulated()
+    made = built(archive, tmp_path, CC="aarch64-linux-gnu-gcc", _PYTHON_HOST_PLATFORM="linux-aarch64")
+    assert made.name.endswith("-py3-none-linux_aarch64.whl")
+    with zipfile.ZipFile(made) as content:
+        content.extractall(tmp_path / "installed")
+    (native,) = (path.parent for path in (tmp_path / "installed").rglob("libzygos.so"))
+    assert (native / "libzygos.so").read_bytes()[18:20] == b"\xb7\x00", "EM_AARCH64"
+    (tmp_path / "calls.c").write_text(CALLS)
+    done(["aarch64-linux-gnu-gcc", "calls.c", "-o", "calls", "-ldl"], tmp_path)
+    said = done([*emulator, tmp_path / "calls", native / "libzygos.so"], tmp_path)
+    assert f"DIGEST = {said.strip()}\n" in (native / "declarations.py").read_text()
