@@ -27,7 +27,7 @@ from zygos.gap.ground.fit import Fit, fit, jackknife, residual
 from zygos.gap.ground.form import form_sigmas
 from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
-from zygos.gap.ground.search import Search, beside_all, is_gain, search
+from zygos.gap.ground.search import Search, beside_all, in_time, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
 from zygos.gap.ground.timing import lateness, torque_constants
@@ -124,6 +124,7 @@ class _Explainer:
         self.step(0.77, "the twin of what was found")
         twins = Twins()
         found = confirmed(self.simulation, table, found, stage_of(table.layout, "closed", found.after), twins)
+        found = in_time(table, found)
         if not found.last and all(is_gain(one.candidate) for one in found.named):
             found = beside_all(table, found)
         self.step(0.78, "changes within and between runs")

@@ -18,7 +18,7 @@ from zygos.gap.ground.fit import Fit, Scores, fit, jackknife, score
 from zygos.quantiles import normal_isf, normal_sf, student_isf
 
 Floats = NDArray[np.float64]
-Against = Literal["insignificant", "inconsistent", "negative", "not transferable", "immaterial"]
+Against = Literal["insignificant", "inconsistent", "negative", "too late", "not transferable", "immaterial"]
 
 
 @dataclass(frozen=True)
@@ -145,6 +145,16 @@ def without(table: Table, found: Search, left_out: Sequence[str]) -> Search:
     return replace(found, after=fitted, named=tuple(_beside_the_others(table, names)), sets=sets)
 
 
+def in_time(table: Table, found: Search) -> Search:
+    """A search without lags of torques that became longer than a period beside what was named after them."""
+    late = [
+        one.name
+        for one in found.named
+        if _too_late(table, one.candidate, float(found.after.x[table.layout.at(one.name)]))
+    ]
+    return without(table, found, late) if late else found
+
+
 def beside_all(table: Table, found: Search) -> Search:
     """A search with every other candidate of a table beside what it named: an entry that a wider search named, and that
     was not kept, has a limit as well."""
@@ -176,6 +186,8 @@ def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float)
         against = "insignificant"
     elif one.positive and value < 0.0:
         against = "negative"
+    elif _too_late(table, one, value):
+        against = "too late"
     elif not _agrees(table, value, sigma, each, each_sigma):
         against = "inconsistent"
     elif worst < 0.0 and one.key != ROTOR_INERTIA:
@@ -195,6 +207,11 @@ def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float)
         limit,
         against,
     )
+
+
+def _too_late(table: Table, one: Candidate, value: float) -> bool:
+    """Whether a torque would begin to act after its own period: it is then something else that looks so."""
+    return one.effect is not None and one.effect.kind.lags and value >= table.layout.arm.period_s
 
 
 def _agrees(table: Table, value: float, sigma: float, each: Floats, each_sigma: Floats) -> bool:
@@ -242,7 +259,7 @@ def _alike(table: Table, fitted: Fit, best: Tried, tried: Sequence[Tried]) -> li
 def _retested(
     table: Table, fitted: Fit, names: list[str], sets: list[tuple[str, ...]]
 ) -> tuple[list[str], list[tuple[str, ...]]]:
-    """What was named, without what is not significant beside the others any more, or has become negative."""
+    """What was named, without what beside the others is not significant any more, negative or too late."""
     by_name = {one.name: one for one in table.layout.candidates}
     covariance, freedom, _ = jackknife(table, fitted)
     kept = list(names)
@@ -253,7 +270,7 @@ def _retested(
         k = fitted.free.index(place)
         value, sigma = float(fitted.x[place]), float(np.sqrt(max(covariance[k, k], 1e-300)))
         weak = abs(value) < student_isf(normal_sf(limits.KEPT_Z.value), freedom[k]) * sigma
-        if weak or (by_name[name].positive and value < 0.0):
+        if weak or (by_name[name].positive and value < 0.0) or _too_late(table, by_name[name], value):
             kept.remove(name)
     return kept, [group for group in sets if group[0] in kept]
 

@@ -31,6 +31,7 @@ _AGAINST: dict[Against, str] = {
     "inconsistent": "the runs disagree on its size",
     "negative": "it would have to create energy",
     "not transferable": "what the other runs say of it does not help on each",
+    "too late": "the torque would act after its period",
     "immaterial": "it explains too little of what is left",
 }
 
