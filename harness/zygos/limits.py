@@ -139,6 +139,10 @@ LATE_SHAPES = Limit("late shapes", 2, "1", "trial",
     "Shapes of each of those entries that are judged.")
 LATE_PAIRS = Limit("late pairs", 6, "1", "trial",
     "Pairs of those entries that are judged, which explain most together.")
+CONTENDERS = Limit("contenders", 3, "1", "convention",
+    "Entries of the catalogue that are each compared about their own model, beside what was named or in its place.")
+STEP_LEAVES = Limit("step leaves", 0.5, "1", "trial",
+    "Share of what is left over that one of them may leave to be taken, if all of them leave as little as is asked.")
 CHANCE_Z = Limit("chance z", 1.645, "1", "convention",
     "One-sided 95 % limit of the normal distribution.")
 SHAPE_GAINS = Limit("shape gains", 0.01, "1", "trial",

@@ -45,7 +45,7 @@ def test_the_best_of_a_finer_grid_may_lie_at_its_end(leaking: Study) -> None:
     after = again(leaking, replace(leaking.hypothesis, effects=(name,)))
     share = completeness(leaking, after.excess * leaking.noise)
     value = float(after.fit.of(name))
-    one = Candidate(name, kind, -1, FINER[-1], value, (), (), 0.0, share, 0.0, 0.0, 0.0, 0.0, "")
+    one = Candidate(name, kind, -1, FINER[-1], value, (), (), 0.0, share, 0.0, 0.0, 0.0, 0.0, 0.0, "")
     found = polished(Search(leaking, after, (one,), (), share, ((name,),), chance(leaking, [name])))
     (named,) = found.named
     # the leak grows to its size within a third of a second

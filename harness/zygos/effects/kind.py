@@ -172,6 +172,14 @@ class Kind:
         return "link" if self.place == "link" else "spring" if self.place == "spring" else "motor"
 
     @property
+    def family(self) -> str:
+        """What is alike: all frictions of one side of a joint, all laws of its spring, an effect along both directions
+        of its angle; else the entry alone."""
+        if self.positive and self.place in ("motor", "link", "load"):
+            return f"friction of the {self.side}"
+        return "spring" if self.place == "spring" else re.sub("_(sin|cos)$", "", self.key)
+
+    @property
     def torque(self) -> Callable[[Array], Array] | None:
         """f as a function of the rate (motor, link) or of the deflection (spring) alone; None where the law has a
         shape or a memory, and at other sites."""

@@ -40,6 +40,7 @@ from zygos.gap.search import (
     limits_beyond,
     polished,
     possible,
+    refined,
     rivals,
     search,
     struck,
@@ -181,7 +182,7 @@ class _Explainer:
         changed: Changed | None = None
         if not skewed:
             found, gap, changed = self._searched(delivered, refit, basis)
-            if basis is refit and changed is None and not found.named:
+            if basis is refit and changed is None and (not found.named or _common_offset(found.after)):
                 better = self._with_less_noise(delivered, found)
                 if better is not None:
                     refit, found, gap = better
@@ -313,10 +314,11 @@ class _Explainer:
         """The refit, search and gap with less noise of the torques than was assumed, where effects explain nearly
         everything then: real noise is nothing that they could explain. None where they do not.
 
-        A small effect may be taken for noise, and so may the chatter of a friction near rest, which hides it.
+        A small effect may be taken for noise, and so may the chatter of a friction near rest, which hides it. Torques
+        with noise have an offset in each run, which hides one that is the same in all of them.
         """
         taken, remarks, gains = self.arm, list(self.remarks), self.gains
-        less = self.known if taken != self.known else self.declared if excess(found.after) else taken
+        less = self.known if taken != self.known else self.declared if found.named or excess(found.after) else taken
         if less == taken:
             return None
         self._take(less)
@@ -325,7 +327,8 @@ class _Explainer:
         # an offset, which noisy torque sensors have in any case, is nothing that is missing
         columns = [instead.after.layout.find(one.name) for one in instead.named]
         more = [one for one in columns if not (one.kind.key == "torque_offset" and found.after.layout.covers(one))]
-        if changed is None and more and min(instead.completeness) >= limits.COMPLETE.value:
+        closed = not found.named or not excess(instead.after)
+        if changed is None and more and closed and min(instead.completeness) >= limits.COMPLETE.value:
             return refit, instead, gap
         self._take(taken)
         self.remarks, self.gains = remarks, gains
@@ -400,15 +403,19 @@ class _Explainer:
         if gained is not basis:
             basis, found = gained, search(gained, lambda what: self.step(0.45, what))
         every: Study | None = None
+        plain = found
+        if found.named:
+            self.step(0.5, "every entry of the catalogue beside what was named, and in its place")
+            with suppress(Undecided):
+                beside = widened(found.after)
+                found = refined(found, beside)
+                if found is plain and not self._open(found):
+                    found = self._challenged(basis, found, beside)
         if self._open(found):
             every, wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
                 found = wider
-        elif found.named:
-            self.step(0.5, "every entry of the catalogue in the place of what was named")
-            with suppress(Undecided):
-                found = self._challenged(basis, found)
-        else:
+        elif not found.named:
             self.step(0.5, "detection limits of the other entries")
             with suppress(Undecided):
                 found = replace(found, beyond=limits_beyond(found.after, widened(found.after)))
@@ -443,10 +450,11 @@ class _Explainer:
         except Undecided:
             return every, None
 
-    def _challenged(self, basis: Study, found: Search) -> Search:
+    def _challenged(self, basis: Study, found: Search, every: Study) -> Search:
         """The search among usual entries, or with those others that may be what was named instead: a name is given
-        against the whole catalogue. Errors: Undecided where the runs do not tell its columns apart."""
-        others = rivals(found, widened(found.after))
+        against the whole catalogue. every: the closed study `widened`. Errors: Undecided where the runs do not tell its
+        columns apart."""
+        others = rivals(found, every)
         if not others:
             return found
         again = polished(search(with_rivals(basis, others), lambda what: self.step(0.6, what)))
@@ -951,6 +959,17 @@ def _torques_too_quiet(study: Study) -> NDArray[np.bool_]:
     its torques: it has none, and what is fitted to it beside balances that do not close is of little weight."""
     quiet, layout = _too_quiet(study), study.layout
     return quiet[:, [balance not in layout.momenta for balance in layout.balances]]
+
+
+def _common_offset(study: Study) -> bool:
+    """Whether torques that are taken to have noise have an offset for certain that is the same in all runs."""
+    drawn = study.of_twin(study.hypothesis).zeros.std(axis=0, ddof=1)
+    for k, name in enumerate(study.layout.zeros):
+        each = study.zeros[:, k]
+        certain = np.all(np.abs(each) > limits.DISAGREE_Z.value * drawn[:, k])
+        if name.startswith("torque_zero") and certain and np.ptp(each) < limits.AGREE_SHARE.value * abs(each.mean()):
+            return True
+    return False
 
 
 def _worse(gap: Gap, struck: Forecast) -> bool:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from zygos import limits
 from zygos.effects import Kind
-from zygos.errors import Undecided
+from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Acting
 from zygos.gap.findings import Disagreement
-from zygos.gap.fit import Hypothesis, fit, shares_of_pairs
+from zygos.gap.fit import Fit, Hypothesis, fit, shares_of_pairs
 from zygos.gap.null import Chance, chance, null_sigmas
 from zygos.gap.study import Study, again, laid_out
 from zygos.quantiles import chi_square_isf, chi_square_ppf, normal_sf
@@ -52,8 +52,11 @@ class Candidate:
     """Share of what was left over before it that it takes away, on the run where it takes less."""
     left: float
     """Sum of rho^2 over runs and balances with it."""
+    paid: float
+    """For errors of sensors beyond what is known of them, in the unit of `left`."""
     frozen: float
-    """Sum of rho^2 on the last run with what was fitted on the others, as a share of the sum without it."""
+    """Sum of rho^2 on the last run with what was fitted on the others, and what is paid there, as a share of that
+    without it."""
     limit: float
     """The size from which on this search would name it on these runs."""
     against: Against
@@ -136,6 +139,16 @@ def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     return tuple(out)
 
 
+def paid(study: Study, found: Fit, runs: Sequence[int] | None = None) -> Array:
+    """(runs,) what a fit pays for errors of encoders and gyro beyond what is known of them, as a sum of rho^2."""
+    chosen = list(range(len(study.records)) if runs is None else runs)
+    layout = study.layout
+    held = ~layout.of_torque & np.array([name not in layout.loose for name in layout.zeros], dtype=np.bool_)
+    pulls = (study.applied[chosen] + found.zeros) / layout.declared_sigma
+    over = np.where(held, np.maximum(pulls**2 - limits.LARGE_ERROR_Z.value**2, 0.0), 0.0)
+    return np.asarray(over.sum(axis=1) / np.nanmean(study.independent[chosen], axis=1), dtype=np.float64)
+
+
 def search(study: Study, step: Callable[[str], None] = lambda _: None, every: Study | None = None) -> Search:
     """Look for what the study's hypothesis lacks. step is told what is being done. every: the same study `widened`,
     where every entry of the catalogue is searched, not only the usual ones."""
@@ -191,6 +204,101 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None, every: St
     return Search(before, now, tuple(named), tuple(rounds), share, sets, luck)
 
 
+def refined(found: Search, every: Study) -> Search:
+    """The search where laws are compared about their own models: every law of its family in the place of each one that
+    was named, and every entry of the catalogue beside them all. Those are taken, one after the other, that leave far
+    less over; itself where none do. every: the closed study `widened`."""
+    others = _possible_of(every) - _possible_of(found.before)
+    luck = replace(found.chance, count=found.chance.count + others, candidates=found.chance.candidates + others)
+    luck = replace(luck, threshold=max(luck.threshold, luck.needed(limits.FALSE_ALARMS.value)))
+    now, wide = replace(found, chance=luck), every
+    if found.after.layout.loose:
+        # errors of sensors that were set free before effects were tried compete with these, and pay
+        held = replace(found.after.layout, loose=())
+        now = replace(now, after=again(found.after, found.after.hypothesis, limits.FEW_DRAWS.value, held))
+        wide = widened(now.after)
+    first, begun = now.after, _left(now)
+    while _left(now) > limits.TRIFLE.value * begun:
+        tried = [_put(now, wide, one, old) for one, old in _proposals(now, wide)]
+        best = min((one for one in tried if one is not None), key=_left, default=None)
+        if best is None or _left(best) > limits.STEP_LEAVES.value * _left(now):
+            break
+        now = best
+        try:
+            wide = widened(now.after)
+        except Undecided:
+            break
+    if now.after is first or _left(now) > (1.0 - limits.REST.value) * begun:
+        return found
+    now = polished(replace(now, after=again(now.after, now.after.hypothesis)))
+    old = {one.name for one in found.named}
+    named = [one if one.name in old else _judged(now.after, now, one.name) for one in now.named]
+    fitted = now.after.fit
+    if any(one is None or not one.passes or (one.kind.positive and fitted.of(one.name) < 0.0) for one in named):
+        return found
+    share = completeness(found.before, now.after.excess * found.before.noise)
+    now = replace(now, named=tuple(one for one in named if one is not None), completeness=share)
+    wide = widened(now.after)
+    return replace(now, sets=tuple(_inseparable(one, wide, now.before) for one in now.named))
+
+
+def _left(found: Search) -> float:
+    """Sum of rho^2 - 1 that was named leaves over beyond what is allowed, and pays for errors of sensors."""
+    after = found.after
+    over = np.maximum(after.excess**2 - 1.0 - allowed(found.before)[1], 0.0)
+    return float(np.nansum(over) + paid(after, after.fit).sum())
+
+
+def _proposals(found: Search, every: Study) -> list[tuple[Acting, Candidate | None]]:
+    """Entries of the catalogue, each with the named law in whose place it is put, or None, that leave least over about
+    the model as it is; of each the best shape. A law with a shape is put in the place of one of its family."""
+    kept: dict[tuple[str, str], tuple[float, Acting, Candidate | None]] = {}
+    families = {(one.kind.family, one.joint) for one in found.named}
+    more = [None] if len(found.named) < limits.MOST_EFFECTS.value else []
+    for old in (*found.named, *more):
+        rest = tuple(name for name in every.hypothesis.effects if old is None or name != old.name)
+        for one in every.layout.effects:
+            own = one.kind.family, one.joint
+            fits = (own not in families or one.shape is None) if old is None else own == (old.kind.family, old.joint)
+            if not fits or not possible(every.hypothesis, one):
+                continue
+            with suppress(Undecided):
+                fitted = every.of(replace(every.hypothesis, effects=(*rest, one.name)))
+                cost, key = _cost(every, fitted), (one.plain, "" if old is None else old.name)
+                if not (one.kind.positive and fitted.of(one.name) < 0.0) and cost < kept.get(key, (np.inf,))[0]:
+                    kept[key] = cost, one, old
+    listed = sorted(kept.values(), key=lambda x: x[0])[: limits.CONTENDERS.value]
+    return [(one, old) for _, one, old in listed]
+
+
+def _put(found: Search, every: Study, one: Acting, old: Candidate | None) -> Search | None:
+    """The search with an entry of the catalogue beside what was named, or in the place of one of them, about its own
+    model and in its best shape, with a few draws; None where no arm is like it."""
+    kept = tuple(other for other in found.named if other is not old)
+    rest = tuple(name for name in every.hypothesis.effects if old is None or name != old.name)
+    layout = every.layout
+    named = [layout.find(name) for name in (*rest, one.name)]
+    narrow = replace(layout, wide=False, own=tuple(dict.fromkeys((*layout.own, *named))))
+    few = limits.FEW_DRAWS.value
+    try:
+        now = again(every, replace(every.hypothesis, effects=(*rest, one.name)), few, narrow)
+        first = _judged(now, found, one.name)
+        if first is None:
+            return None
+        names = (*kept, first)
+        return shaped(replace(found, after=now, named=names, sets=tuple((x.name,) for x in names)), few)
+    except (Undecided, ZygosError):
+        return None
+
+
+def _judged(study: Study, found: Search, name: str) -> Candidate | None:
+    """A law that a study has, beside the others of its hypothesis; None where these runs do not tell them apart."""
+    rest = tuple(other for other in study.hypothesis.effects if other != name)
+    made = float(study.made[study.hypothesis.names.index(name)])
+    without = replace(study, hypothesis=replace(study.hypothesis, effects=rest))
+    return _candidate(without, found.before, study.layout.find(name), found.chance.threshold, made)
+
+
 def widened(study: Study) -> Study:
     """The same study with every entry of the catalogue, beside a few draws of its twins: enough to rank them."""
     return laid_out(study, replace(study.layout, wide=True), limits.FEW_DRAWS.value)
@@ -206,7 +314,7 @@ def shortlisted(study: Study, every: Study, own: tuple[Acting, ...]) -> Study:
         if one.name not in hypothesis.effects and possible(hypothesis, one):
             with suppress(Undecided):
                 wider = replace(hypothesis, effects=(*hypothesis.effects, one.name))
-                left[one] = _total(every.of(wider).rms, every.noise)
+                left[one] = _cost(every, every.of(wider))
     kept: list[Acting] = []
     seen: dict[str, int] = {}
     for one in sorted((x for x in left if x.name not in usual), key=left.__getitem__):
@@ -279,7 +387,7 @@ def rivals(found: Search, every: Study) -> tuple[Acting, ...]:
     """
     plain, usual = every.hypothesis, {one.name for one in found.before.layout.effects}
     listed = [one for one in every.layout.effects if one.name not in usual and possible(plain, one)]
-    left = _total(every.fit.rms, every.noise)
+    left = _cost(every, every.fit)
     kept: dict[str, tuple[float, Acting]] = {}
     for named in found.named:
         rest = tuple(name for name in plain.effects if name != named.name)
@@ -291,7 +399,7 @@ def rivals(found: Search, every: Study) -> tuple[Acting, ...]:
                 creates = one.kind.positive and alone.of(one.name) < 0.0
                 if creates or min(completeness(found.before, alone.rms)) < limits.COMPLETE.value:
                     continue
-                own = _total(alone.rms, every.noise)
+                own = _cost(every, alone)
                 if not (_stands_aside(every, named, one) or (own < left and _stands_out(every, one, found.chance))):
                     continue
                 if one.plain not in kept or own < kept[one.plain][0]:
@@ -323,15 +431,21 @@ def with_rivals(basis: Study, every: Sequence[Acting]) -> Study:
 
 
 def polished(found: Search) -> Search:
+    """The search with the best shapes of the named laws, without what they have no need of."""
+    return _needed(shaped(found))
+
+
+def shaped(found: Search, count: int = limits.DRAWS.value) -> Search:
     """The search with the shapes of the named laws between those of the catalogue's grid: the best of finer and finer
-    grids, twice, and up to five times while a balance still leaves something over."""
+    grids, twice, and up to five times while a balance still leaves something over; beside a twin with `count` draws,
+    where few are for a comparison, and twice is enough."""
     for number in range(limits.MOST_POLISHES.value):
-        if number >= limits.POLISHES.value and not excess(found.after):
+        if number >= limits.POLISHES.value and (count < limits.DRAWS.value or not excess(found.after)):
             break
-        shaped = [one for one in found.named if one.shape is not None and one.kind.shape_varies]
-        for one in shaped:
-            found = _reshaped(found, one)
-    return _needed(found)
+        for one in found.named:
+            if one.shape is not None and one.kind.shape_varies:
+                found = _reshaped(found, one, count)
+    return found
 
 
 def _needed(found: Search) -> Search:
@@ -383,7 +497,7 @@ def judged_beside(found: Search, study: Study) -> Search | None:
     return None if min(share) < limits.COMPLETE.value or rivals(instead, widened(study)) else instead
 
 
-def _reshaped(found: Search, one: Candidate) -> Search:
+def _reshaped(found: Search, one: Candidate, count: int) -> Search:
     after = found.after
     assert one.shape is not None
     shape: float = one.shape
@@ -400,7 +514,7 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     kept = {*after.hypothesis.effects, *(name for names in found.sets for name in names)}
     told = tuple(x for x in layout.effects if x.name in kept)
     finer = tuple(layout.find(one.name)._replace(shape=x) for x in fine)
-    study = laid_out(after, replace(layout, wide=False, shapes=shapes, own=(*told, *finer)))
+    study = laid_out(after, replace(layout, wide=False, shapes=shapes, own=(*told, *finer)), limits.FEW_DRAWS.value)
     best: tuple[float, str] | None = None
     for shape in fine:
         name = f"{plain}@{shape:.6g}"
@@ -413,7 +527,7 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     if best is None or best[1] == one.name:
         return found
     chosen = replace(study.hypothesis, effects=(*others, best[1]))
-    now = again(study, chosen)
+    now = again(study, chosen, count)
     value = float(now.value[now.hypothesis.names.index(best[1])])
     again_named = replace(one, name=best[1], shape=now.layout.find(best[1]).shape, value=value)
     named = tuple(again_named if other is one else other for other in found.named)
@@ -497,7 +611,7 @@ def _simplest(best: Candidate | None, listed: Sequence[Candidate]) -> Candidate 
 def candidates(now: Study, before: Study, level: float) -> tuple[Candidate, ...]:
     """All that could be added to a study's hypothesis, best first. level: deviations that are asked on each run."""
     out = [_candidate(now, before, one, level) for one in now.layout.effects if possible(now.hypothesis, one)]
-    return tuple(sorted((one for one in out if one is not None), key=lambda one: one.left))
+    return tuple(sorted((one for one in out if one is not None), key=lambda one: one.left + one.paid))
 
 
 def possible(hypothesis: Hypothesis, one: Acting) -> bool:
@@ -513,7 +627,8 @@ def possible(hypothesis: Hypothesis, one: Acting) -> bool:
     return not (one.joint >= 0 and hypothesis.rigid[one.joint] and one.kind.place == "spring")
 
 
-def _candidate(now: Study, before: Study, one: Acting, level: float) -> Candidate | None:
+def _candidate(now: Study, before: Study, one: Acting, level: float, made: float = 0.0) -> Candidate | None:
+    """An entry beside a study's hypothesis. made: the size with which its twins were made."""
     name, kind, joint = one.name, one.kind, one.joint
     wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, name))
     runs = range(len(now.records))
@@ -524,14 +639,14 @@ def _candidate(now: Study, before: Study, one: Acting, level: float) -> Candidat
         null_all = now.of_twin(wider).of(name)
     except Undecided:
         return None
-    value = float(whole.of(name) - null_all.mean())
+    value = float(whole.of(name) - null_all.mean()) + made
     found = [float(one.of(name)) for one in each]
-    z = [(x - draw.mean()) / draw.std(ddof=1) for x, draw in zip(found, null, strict=True)]
+    z = [(x - draw.mean() + made) / draw.std(ddof=1) for x, draw in zip(found, null, strict=True)]
     sigma = float(null_all.std(ddof=1))
     *first, last = runs
     plain, with_it = now.of(now.hypothesis, first).value, now.of(wider, first).value
-    frozen = _total(now.of(wider, [last], with_it).rms, now.noise[last:]) / _total(
-        now.of(now.hypothesis, [last], plain).rms, now.noise[last:]
+    frozen = _cost(now, now.of(wider, [last], with_it), [last]) / _cost(
+        now, now.of(now.hypothesis, [last], plain), [last]
     )
     share = completeness(before, whole.rms)
     against: Against = ""
@@ -559,6 +674,7 @@ def _candidate(now: Study, before: Study, one: Acting, level: float) -> Candidat
         share,
         min(completeness(now, whole.rms)),
         _total(whole.rms, now.noise),
+        float(paid(now, whole).sum()),
         frozen,
         _limit(now, name, null, level),
         against,
@@ -580,6 +696,12 @@ def _one_size(each: Sequence[float], sigma: Sequence[float], pooled: float) -> b
 
 def _total(rms: Array, noise: Array) -> float:
     return float(np.nansum((rms / noise) ** 2))
+
+
+def _cost(study: Study, found: Fit, runs: Sequence[int] | None = None) -> float:
+    """Sum of rho^2 that a fit of some runs leaves over, and what it pays for errors of sensors."""
+    noise = study.noise if runs is None else study.noise[list(runs)]
+    return _total(found.rms, noise) + float(paid(study, found, runs).sum())
 
 
 def _limit(now: Study, name: str, null: list[Array], level: float) -> float:

@@ -273,12 +273,14 @@ def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: Driv
     return again(again(first, hypothesis, limits.FEW_DRAWS.value) if _off(first).any() else first, hypothesis)
 
 
-def again(study: Study, hypothesis: Hypothesis, count: int = limits.DRAWS.value) -> Study:
-    """The same runs under another hypothesis: its fit, and a twin of its own with `count` draws.
+def again(study: Study, hypothesis: Hypothesis, count: int = limits.DRAWS.value, layout: Layout | None = None) -> Study:
+    """The same runs under another hypothesis: its fit, and a twin of its own with `count` draws. layout: other columns
+    than those of the study.
 
     Errors of sensors far beyond what is known of them are taken off the records, because their columns are those of
     small errors. Those that the hypothesis has are found step by step: the column of a large one depends on its size.
     """
+    wanted = hypothesis if layout is None else replace(hypothesis, layout=layout)
     for _ in range(limits.ERROR_STEPS.value):
         first = study.of(hypothesis)
         sensors = sensor_effects(hypothesis, first.value)
@@ -287,8 +289,8 @@ def again(study: Study, hypothesis: Hypothesis, count: int = limits.DRAWS.value)
             for now, was in _pairs(sensors, study.sensors)
         ):
             break
-        study = _again(study, hypothesis, limits.FEW_DRAWS.value)
-    return _again(study, hypothesis, count)
+        study, hypothesis = _again(study, hypothesis, limits.FEW_DRAWS.value, wanted), wanted
+    return _again(study, hypothesis, count, wanted)
 
 
 def _pairs(sensors: Sequence[Effect], known: Sequence[Effect]) -> list[tuple[Effect, Effect]]:
@@ -299,7 +301,7 @@ def _pairs(sensors: Sequence[Effect], known: Sequence[Effect]) -> list[tuple[Eff
     ]
 
 
-def _again(study: Study, hypothesis: Hypothesis, count: int) -> Study:
+def _again(study: Study, hypothesis: Hypothesis, count: int, wanted: Hypothesis) -> Study:
     first = study.of(hypothesis)
     records, applied = study.records, study.applied
     found = replace(study, fit=replace(study.fit, zeros=first.zeros))
@@ -309,7 +311,7 @@ def _again(study: Study, hypothesis: Hypothesis, count: int) -> Study:
         records = tuple(corrected(record, study.layout, change) for record, change in changed)
     misread = np.where(study.layout.of_torque, first.zeros, 0.0)
     model = _possible(hypothesis, first.value, study.model)
-    return _study(records, study.accepted, hypothesis, model, count, off, first.value, misread)
+    return _study(records, study.accepted, wanted, model, count, off, first.value, misread)
 
 
 def laid_out(study: Study, layout: Layout, count: int = limits.DRAWS.value) -> Study:
