@@ -797,8 +797,8 @@ def read_joint(table: Table) -> Joint:
         torque_relative_sigma=table.number(
             "torque_relative_sigma",
             "Standard deviation of the reported torque as a share of its size. It adds to torque_sigma in squares. The "
-            "simulator draws it, the intervals of energy rows contain it, `zygos bound` weighs torques by it, and "
-            "`zygos refine` needs it.",
+            "simulator draws it, the intervals of energy rows contain it, `zygos plan --by bound` weighs "
+            "torques by it, and `zygos estimate` needs it to refine.",
             0.0,
             low=0.0,
             high=1.0,

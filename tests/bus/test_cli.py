@@ -613,7 +613,9 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
     finally:
         signal.signal(which, before)
     said = capsys.readouterr().err
-    assert re.search(r"stopped; the estimate of [\d,]+ cycles goes to .*live.toml, and the frames to .*live.log", said)
+    assert re.search(
+        r"stopped; the estimate is of [\d,]+ cycles and goes to .*live.toml, and the frames to .*live.log", said
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["live.log", "live.toml"]
     assert bus.read_log(tmp_path / "live.log").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
 

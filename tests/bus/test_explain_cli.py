@@ -240,7 +240,7 @@ def test_motor_currents_of_an_arm_that_floats_are_refused(
 def test_a_single_short_run_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert explain(folder, tmp_path, runs(folder, "short"), []) == 2
     error = " ".join(capsys.readouterr().err.split())
-    assert "cannot be cut into 3 parts" in error and "remedy: give two runs " in error
+    assert "cannot be cut into 3 parts" in error and "remedy: give two runs, or one of at least" in error
     assert not (tmp_path / "new.toml").exists()
 
 

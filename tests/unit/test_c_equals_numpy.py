@@ -278,7 +278,7 @@ def test_the_error_of_an_imprecise_value_is_also_in_the_others(name: str) -> Non
 
 
 def test_a_sigma_that_is_too_small_is_not_equal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With and without the part that stays: `zygos check` tells them apart."""
+    """With and without the part that stays: `zygos self-test` tells them apart."""
     both = both_of("plain")
 
     def room() -> Room:

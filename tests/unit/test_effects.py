@@ -303,7 +303,7 @@ def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> 
 
 
 def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
-    """Every room of `zygos check`, with rows within 1e-12 of each column's largest entry or what the readings' own
+    """Every room of `zygos self-test`, with rows within 1e-12 of each column's largest entry or what the readings' own
     rounding does."""
     run = Flight(arm, effects)
     trace = run.cycles(cycles, trace=True)

@@ -65,7 +65,7 @@ def record_of(arm: Arm, *samples: Samples) -> Record:
     unbroken records.
     """
     if not samples or any(not record.segments for record in samples):
-        raise ZygosError("what is wrong: a record has no valid cycle; remedy: check the log with `zygos check`")
+        raise ZygosError("what is wrong: a record has no valid cycle; remedy: check the log with `zygos self-test`")
     runs = [(record, slice(*record.segments[0])) for record in samples]
     if len({run.stop - run.start for _, run in runs}) > 1:
         raise ZygosError("what is wrong: the records differ in length; remedy: give each to the method separately")
