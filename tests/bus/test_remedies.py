@@ -46,7 +46,7 @@ from zygos.audit.remedies import Setting
 from zygos.audit.traffic import traffic_of
 from zygos.audit.units import FACTORS
 from zygos.can.run import Run, load_run
-from zygos.cli import COMMANDS, load
+from zygos.cli import COMMANDS, FORMER, load
 from zygos.cli.options import _usage
 from zygos.estimation import remedies as of_estimates
 from zygos.files.tables import write_columns
@@ -405,16 +405,16 @@ def test_commands_and_options_that_messages_name_exist() -> None:
             said = "".join(str(one.value) if isinstance(one, ast.Constant) else "X" for one in parts)
             for command, rest in re.findall(r"`zygos ([a-z-]+)([^`]*)`", said):
                 commands.add(command)
-                assert command in COMMANDS, (path, said)
+                assert command in COMMANDS | FORMER, (path, said)
                 options = set(re.findall(r"(?<=\s)--?[a-z][a-z-]*", rest))
                 assert options <= options_of(command), (path, said)
                 wanted = options_of(command, required=True)
                 assert not re.search(r" [A-Z]", rest) or not wanted or options & wanted, (path, said)
             if path.parent.name == "cli" and "remedy: " in said and (own := path.stem.replace("_", "-")) in COMMANDS:
-                named = {own, *re.findall(r"`zygos ([a-z-]+)", said)} & set(COMMANDS)
+                named = {own, *re.findall(r"`zygos ([a-z-]+)", said)} & set(COMMANDS | FORMER)
                 options = set(re.findall(r"(?<=[\s(])--[a-z][a-z-]*", said.split("remedy: ", 1)[1]))
                 assert options <= set().union(*map(options_of, named)), (path, said)
-    assert {"check-arm", "convert", "estimate", "explain", "fit", "plan", "predict", "refine"} <= commands
+    assert {"check-arm", "convert", "estimate", "explain", "fit", "plan", "predict"} <= commands
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if "--arm" in options_of(name)])
