@@ -406,7 +406,7 @@ def test_the_examples_of_the_page_run(
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.S)
     used = set(re.findall(r"zygos\.(\w+)", "".join(blocks)))
     named = {"Arm", "ArmCheck", "Check", "Cycles", "Effect", "Estimation", "Explanation", "Model", "Prediction", "Run"}
-    named |= {"GroundEstimate", "Payload", "Refinement", "Score"}
+    named |= {"Bound", "GroundEstimate", "Payload", "Refinement", "Score"}
     assert set(zygos.__all__) - used == named | {"Scenario", "Simulation", "Undecided"}, "each function has an example"
     names: dict[str, object] = {}
     for k, block in enumerate(blocks):
