@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,7 @@ def named(found: Audit) -> dict[str, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seeds", "name"), [(2, "lively"), (1, "b"), (10, "lively"), (1, "a")])
+@pytest.mark.parametrize(("seeds", "name"), [(2, "lively"), (1, "b"), (1, "a")])
 def test_a_clean_run_is_clean(seeds: int, name: str) -> None:
     arm = arm_of(name)
     for cycles in run(name, arm, seeds):
@@ -189,9 +190,20 @@ QUICK_FAULTS = (
 )  # fmt: skip
 
 
+LARGER_ARM = (*QUICK_FAULTS, "b-joints swapped", "b-gyro axes")
+PLACED = [
+    (f"{name}-{title}", name, fault, expected)
+    for name in ("lively", "b")
+    for title, fault, expected in FAULTS
+    if name == "lively"
+    or title in ("joints swapped", "gyro axes")
+    or any(fnmatchcase(f"b-{title}", quick) for quick in QUICK_FAULTS)
+]
+"""All faults of one arm, and some of the other, which is larger."""
+
+
 @pytest.mark.slow(but=QUICK_FAULTS)
-@pytest.mark.parametrize(("fault", "expected"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS])
-@pytest.mark.parametrize("name", ["lively", "b"])
+@pytest.mark.parametrize(("name", "fault", "expected"), [case[1:] for case in PLACED], ids=[case[0] for case in PLACED])
 def test_a_fault_is_named_and_nothing_else(
     runs: dict[str, tuple[Arm, list[Cycles]]], name: str, fault: Fault, expected: dict[str, str]
 ) -> None:
@@ -204,8 +216,7 @@ def test_a_fault_is_named_and_nothing_else(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["q", "theta"])
-@pytest.mark.parametrize("i", [0, 1])
-@pytest.mark.parametrize("power", [1, -1])
+@pytest.mark.parametrize(("i", "power"), [(0, 1), (1, -1)])
 def test_a_gear_ratio_too_many_is_named(
     runs: dict[str, tuple[Arm, list[Cycles]]], kind: str, i: int, power: int
 ) -> None:
@@ -218,7 +229,7 @@ def test_a_gear_ratio_too_many_is_named(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "i", "sign"), [("q", 0, 1), ("q", 1, 1), ("theta", 0, -1), ("theta", 1, -1)])
+@pytest.mark.parametrize(("kind", "i", "sign"), [("q", 0, 1), ("theta", 1, -1)])
 @pytest.mark.parametrize("name", ["lively", "b"])
 def test_a_zero_that_is_off_is_named_with_its_value(
     runs: dict[str, tuple[Arm, list[Cycles]]], name: str, kind: str, i: int, sign: int
@@ -272,7 +283,7 @@ def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycle
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "latch_us", "i", "side"),
-    [*(("lively", 20_000, i, side) for i in (0, 1) for side in ("link", "motor")), ("b", 3000, 1, "motor")],
+    [("lively", 20_000, 0, "link"), ("lively", 20_000, 1, "motor"), ("b", 3000, 1, "motor")],
 )
 def test_a_latch_that_the_arm_file_hides_is_named(name: str, latch_us: int, i: int, side: str) -> None:
     arm = arm_of(name)
@@ -296,7 +307,7 @@ FRICTION = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "key"), [("b", key) for key in FRICTION] + [("a", "viscous")])
+@pytest.mark.parametrize(("name", "key"), [("b", key) for key in FRICTION if key != "viscous"] + [("a", "viscous")])
 def test_what_an_arm_may_do_is_no_fault_of_a_signal(name: str, key: str) -> None:
     """Viscous friction of a motor looks like a newer link encoder; the balance of the whole arm tells."""
     arm = arm_of(name)
@@ -308,7 +319,7 @@ def test_what_an_arm_may_do_is_no_fault_of_a_signal(name: str, key: str) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "seeds"), [("lively", 2), ("b", 1)])
+@pytest.mark.parametrize(("name", "seeds"), [("lively", 2)])
 def test_another_torque_law_is_named(name: str, seeds: int) -> None:
     arm = arm_of(name)
     true = replace(arm, torque_law="applied_previous_cycle")
@@ -397,12 +408,11 @@ def test_a_gyro_in_another_unit_is_not_turned(
     assert all(fault.startswith(f"in {unit}, not in rad/s") for fault in found.values())
 
 
-@pytest.mark.slow(but=["q-columns4-1.4"])
+@pytest.mark.slow(but=["q-columns3-1.4"])
 @pytest.mark.parametrize(
     ("kind", "columns", "periods"),
-    [("tau", (0, 1), 2.0), ("tau", (0, 1), 1.4), ("tau", (0,), 1.5), ("omega", (0, 1, 2), 3.3), ("q", (0, 1), 1.4),
-     ("q", (1,), 2.0), ("theta", (0, 1), 2.3), ("theta", (0,), 1.2), ("theta", (0, 1), -2.0), ("q", (0, 1), -3.0),
-     ("tau", (0, 1), -0.7)],
+    [("tau", (0, 1), 2.0), ("tau", (0,), 1.5), ("omega", (0, 1, 2), 3.3), ("q", (0, 1), 1.4), ("theta", (0,), 1.2),
+     ("q", (0, 1), -3.0), ("tau", (0, 1), -0.7)],
 )  # fmt: skip
 def test_a_delay_is_found_within_its_interval(
     runs: dict[str, tuple[Arm, list[Cycles]]], kind: Kind, columns: tuple[int, ...], periods: float
