@@ -73,7 +73,7 @@ def cases() -> Iterator[tuple[int, str, Fault, dict[str, str]]]:
     yield THREE, "all inverted", everything, dict.fromkeys(T[:THREE], "inverted")
     fault, expected = exchange(1, 2)
     yield THREE, "two", both(inverted("tau", 0), fault), {T[0]: "inverted", **expected}
-    yield THREE, "angle of 3", inverted("theta", 2), {"j3 motor angle": "inverted"}
+    yield SEVEN, "angle of 4", inverted("theta", 3), {"j4 motor angle": "inverted"}
 
 
 CASES = list(cases())
