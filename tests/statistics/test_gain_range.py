@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gains of torque sensors from 0.8 to 1.3 on arms of two, three and seven joints: no value is wrong and confident."""
+"""Gains of torque sensors from 0.8 to 1.3 on arms of two and three joints: no value is wrong and confident."""
 
 from __future__ import annotations
 
@@ -39,7 +39,6 @@ class Runs:
     [
         Runs("paper", 6, 1),
         Runs("spatial", 1, 2),
-        Runs("seven", 1, 1),
         Runs("lively", 1, 1, 900.0),
     ],
     ids=lambda runs: f"{runs.example}-{runs.duration_s:g}",

@@ -54,13 +54,16 @@ SLIGHT = 0.1
 to stay closed to `RIGHT` of that."""
 
 
+QUICK = ("ripple_sin", "gyro_bias", "link_late")
+
+
 def places(name: str) -> list[EffectColumn]:
-    """First and last place of every entry that an arm can have."""
+    """The last place of every entry that an arm can have, or the first one of those that are tried quickly."""
     arm, _, _ = arm_of(name)
     out = []
     for kind in CATALOGUE.values():
         every = columns_at(arm, kind)
-        out += sorted({every[0], every[-1]}) if every else []
+        out += every[:1] if kind.key in QUICK else every[-1:]
     return out
 
 
@@ -114,9 +117,6 @@ def sized(name: str, column: EffectColumn) -> float:
         # an eccentric motor encoder bends the rate by its gear ratio more
         return min(value, 1e-5 if column.key.startswith("motor_eccentricity") else 1e-4)
     return value
-
-
-QUICK = ("ripple_sin", "gyro_bias", "link_late")
 
 
 def quick(case: tuple[str, str, EffectColumn]) -> bool:
