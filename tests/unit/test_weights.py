@@ -71,11 +71,11 @@ def test_right_torques_are_not_accused(tmp_path: Path) -> None:
 
 
 def test_an_arm_that_floats_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arm, log = EXAMPLE / "arm.toml", tmp_path / "run.log"
+    arm, log = ROOT / "examples" / "gap" / "arm.toml", ROOT / "examples" / "gap" / "demo" / "a.blf"
     for simulation, said in (
         (EXAMPLE / "model.toml", "only masses weigh torques in Nm"),
         (URDF, "floats or has flexible joints"),
     ):
-        assert run("check-arm", arm, log, "--simulation", simulation, "--json", tmp_path / "a.json") == 2
+        assert run("check-arm", log, "--arm", arm, "--simulation", simulation, "--json", tmp_path / "a.json") == 2
         assert said in capsys.readouterr().err.replace("\n", " ")
     assert not (tmp_path / "a.json").exists()
