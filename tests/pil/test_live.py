@@ -282,7 +282,7 @@ def test_a_pseudo_terminal(tmp_path: Path) -> None:
             line: Any = live.bus()
             line.set_bitrate(500_000)
             assert line.get_serial_number(timeout=10) == "ZYGO"
-            assert line.get_version(timeout=10) == (0, 1)
+            assert line.get_version(timeout=10) == (0, 2)
             for message in bus.to_messages(frames, arm.period_s):
                 line.send(message)
             found = live.settle(len(frames))

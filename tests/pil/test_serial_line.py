@@ -30,7 +30,7 @@ VALID = re.compile(
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("host") / "serial_line"
     compiler = shlex.split(os.environ.get("CC", "cc"))
-    sources = [HERE / "serial_line.c", PORT / "slcan.c", PORT / "uart.c", PORT.parent.parent / "capacities.c"]
+    sources = [HERE / "serial_line.c", PORT / "slcan.c", PORT / "uart.c", PORT.parent.parent / "loop" / "capacities.c"]
     flags = [*build_firmware.HOUSE, *SANITIZED, *build_firmware.INCLUDES]
     subprocess.run([*compiler, *flags, *map(str, sources), "-o", str(path)], check=True)
     return path
@@ -46,7 +46,7 @@ def answer(line: bytes) -> bytes:
     """What a line without its end is to be answered with while the channel is open, and its frame."""
     match = VALID.fullmatch(line)
     if match is None:
-        known = {b"": b"\r", b"O": b"\r", b"V": b"V0001\r", b"N": b"NZYGO\r"}
+        known = {b"": b"\r", b"O": b"\r", b"V": b"V0002\r", b"N": b"NZYGO\r"}
         return known.get(line, b"\a")
     remote = line[:1] in b"rR"
     if len(match["data"]) != (0 if remote else 2 * int(match["length"])):
