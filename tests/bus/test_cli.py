@@ -274,7 +274,7 @@ def test_listen(brief_recording: Path, tmp_path: Path) -> None:
         code = run("listen", "--arm", EXAMPLE / "arm.toml", *where, *files)
     assert code == 0
     assert "The energy" in (tmp_path / "live.html").read_text()
-    assert run("estimate", brief_recording, "-o", tmp_path / "replayed.toml") == 0
+    assert run("estimate", brief_recording, "--energy", "-o", tmp_path / "replayed.toml") == 0
     assert (tmp_path / "live.toml").read_bytes() == (tmp_path / "replayed.toml").read_bytes()
     assert bus.read_log(tmp_path / "live.blf").frames.tobytes() == bus.read_log(brief_recording).frames.tobytes()
 

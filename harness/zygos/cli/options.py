@@ -30,7 +30,7 @@ Mcap = Annotated[
     typer.Option(
         "--mcap",
         metavar="FILE.mcap",
-        help="Also write the signals as messages of ROS 2, for PlotJuggler, Foxglove or Rerun.",
+        help="Also write the signals as messages of ROS 2, for programs that draw them (Foxglove, Rerun).",
     ),
 ]
 Details = Annotated[bool, typer.Option("--details", help="Print all tables, not only the verdict.")]

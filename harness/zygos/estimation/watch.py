@@ -102,7 +102,7 @@ class Watch:
             if self._traces is not None and trace is not None:
                 self._traces.append(trace)
             self._note_arcs()
-            if self._traces is not None and last * NOTES // n > noted:
+            if self._traces is not None and n > 0 and last * NOTES // n > noted:
                 noted = last * NOTES // n
                 self._note_estimate()
             if due and last < n:

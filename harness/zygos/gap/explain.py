@@ -236,8 +236,10 @@ class _Explainer:
         """Motions that would tell a set apart, best first."""
         if not isinstance(verdict, Inseparable) or found is None:
             return ()
-        pair = next(names for names in found.sets if len(names) > 1)
-        return propose(found.after, pair[0], pair[1])
+        # a shape that was refined is no longer among the columns of its set
+        known = {one.name for one in found.after.layout.effects}
+        pair = next((names for names in found.sets if len(names) > 1 and known.issuperset(names[:2])), None)
+        return () if pair is None else propose(found.after, pair[0], pair[1])
 
     def _told(
         self,
