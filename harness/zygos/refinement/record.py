@@ -183,7 +183,10 @@ def start_of(arm: Arm, piece: Piece) -> tuple[Floats, Floats]:
     width = base_rates(arm)
     part = _apart(arm)
     seen = np.flatnonzero(piece.read)
-    at = seen[np.searchsorted(seen, part * np.arange(4))]
+    at = seen[:1]
+    while len(at) < 4:  # behind a hole the next reading may be due for two of them
+        due = max(part * len(at), at[-1] + 1)
+        at = np.append(at, seen[min(np.searchsorted(seen, due), len(seen) - 1)])
     t = at * arm.period_s
     # of the polynomials through three and through four angles, the rates at the start
     three, four = (np.linalg.inv(np.vander(t[:k], increasing=True))[1] for k in (3, 4))
