@@ -55,7 +55,7 @@ def test_from_a_run_to_bodies(folder: Path, capsys: pytest.CaptureFixture[str]) 
     """What estimate writes is what fit reads; simulate and export take the result."""
     out = folder / "run.blf"
     assert run("simulate", EXAMPLE / "scenario.toml", "-o", out) == 0
-    assert run("estimate", out, "-o", folder / "estimate.toml", "--json", folder / "estimate.json") == 0
+    assert run("estimate", out, "--energy", "-o", folder / "estimate.toml", "--json", folder / "estimate.json") == 0
     assert fit(folder, "--lengths", "0", "--json", folder / "fit.json") == 0
     assert "chi^2" in capsys.readouterr().out
     arm, fitted = load_arm(EXAMPLE / "arm.toml"), load_model(folder / "fit.toml")
