@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from build_support import emulated
 
+import zygos
 from conftest import ROOT
 from zygos.files.examples import EXAMPLES
 
@@ -219,7 +220,7 @@ print(folder, found.validity, zygos.check(run).equal, zygos.check_arm(run).ok, z
     folder, *said, version = done([python, "-c", code], elsewhere).split()
     assert Path(folder).is_relative_to(python.parents[1])
     assert said == ["valid", "True", "True"]
-    assert version == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert version == zygos.__version__
 
 
 CALLS = """
