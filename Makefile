@@ -42,7 +42,7 @@ real: build $(VENV)/.test ## measured runs of real arms: estimate, validate, com
 
 build: $(VENV)/.core $(NATIVE) ## set up .venv and build the C library for it
 
-$(VENV)/.core: pyproject.toml setup.py constraints.txt
+$(VENV)/.core: pyproject.toml setup.py constraints.txt include/zygos/types.h
 	$(PYTHON) -c 'import sys; sys.exit("zygos needs Python 3.11 or later; remedy: make PYTHON=python3.11" if sys.version_info < (3, 11) else 0)'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .

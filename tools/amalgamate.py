@@ -13,7 +13,7 @@ FOLDERS = ("in", "rows", "sums", "solve", "refine", "loop")
 
 def amalgamated() -> str:
     """The text of the one file. Macros of a source end with it; every other name is unique in the library."""
-    paths = [path for folder in FOLDERS for path in sorted((ROOT / "c" / folder).glob("*.c"))]
+    paths = sorted((ROOT / "c").glob("*/*.c"), key=lambda path: (FOLDERS.index(path.parent.name), path))
     included: list[str] = []
     parts = ["/* The C library of zygos as one file, written by `make amalgamation`. */\n"]
     for path in paths:

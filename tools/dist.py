@@ -95,12 +95,12 @@ def normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def bill(version: str, at: int, commit: str) -> str:
-    """The software bill of materials in the form of CycloneDX 1.5: the package, and what it needs at run time in the
-    versions of constraints.txt."""
-    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+def bill(sources: Path, version: str, at: int, commit: str) -> str:
+    """The software bill of materials in the form of CycloneDX 1.5: the package of these sources, and what it needs at
+    run time in the versions of their constraints.txt."""
+    lines = (sources / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pinned = {normal(name): number for name, _, number in (line.partition("==") for line in lines) if number}
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((sources / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     direct = {normal(Requirement(text).name) for text in project["dependencies"]}
     found = required(direct)
     reference = {name: f"pkg:pypi/{name}@{pinned[name]}" for name in found}
@@ -161,7 +161,7 @@ def main(folder: Path) -> None:
         names = sorted({path for pattern in C_SOURCES for path in sources.glob(pattern)})
         held = [(str(path.relative_to(sources)), path.read_bytes(), path.stat().st_mode) for path in names]
         write_tar(folder / f"zygos-c-{version}.tar.gz", f"zygos-c-{version}", held, at)
-    (folder / f"zygos-{version}.cdx.json").write_text(bill(version, at, commit), encoding="utf-8")
+        (folder / f"zygos-{version}.cdx.json").write_text(bill(sources, version, at, commit), encoding="utf-8")
     sums = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}" for path in sorted(folder.iterdir())]
     (folder / "SHA256SUMS").write_text("\n".join(sums) + "\n", encoding="ascii")
     print("\n".join(sums))

@@ -3,6 +3,7 @@
 
 #include "zygos/priv/fields.h"
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <string.h>
 
@@ -607,7 +608,7 @@ void zygos_cycle_calibrate(zygos_previous_cycle_t *previous, const zygos_config_
     }
     for (uint32_t i = 0; i < 3; i++) {
         const double *row = &config->imu_to_base[3 * i];
-        const double rate = row[0] * cycle->omega[0] + row[1] * cycle->omega[1] + row[2] * cycle->omega[2];
+        const double rate = zygos_dot3(row, cycle->omega);
         signal[2 * n + i] = (config->base == ZYGOS_BASE_FREE) ? rate : 0.0;
     }
 }

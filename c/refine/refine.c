@@ -451,12 +451,6 @@ static void measure_values(zygos_refine_t *self, const zygos_config_t *config, c
     }
 }
 
-/* Row i and column j of what is packed by rows as a lower triangle. */
-static uint32_t packed(uint32_t i, uint32_t j)
-{
-    return (i >= j) ? i * (i + 1u) / 2u + j : j * (j + 1u) / 2u + i;
-}
-
 /* The largest level that passes, with which the filter also begins: where it is linear only roughly, more noise of the
  * torques keeps it from believing its first innovations too much. */
 static double largest_level(const zygos_refine_t *self, uint32_t n)
@@ -521,7 +515,7 @@ static int start(zygos_refine_t *self, const zygos_config_t *config, const zygos
         double *own = &filter->root[at * (at + 1u) / 2u + fast];
         const bool known = is_finite(estimate->value[j]) && is_finite(estimate->sigma[j]);
         for (uint32_t i = 0; i <= j; i++) {
-            const double entry = estimate->covariance[packed(j, i)];
+            const double entry = estimate->covariance[zygos_gram_place(j, i)];
             own[i] = is_finite(entry) ? WIDER * WIDER * entry / (size[i] * size[j]) : 0.0;
         }
         own[j] += ADDED * ADDED + (known ? 0.0 : ASSUMED * ASSUMED);
@@ -637,7 +631,7 @@ static double reading(const zygos_refine_t *self, const zygos_config_t *config, 
     const double *axis = config->joint[0].axis;
     const double *omega = &self->signal[2u * n];
     const bool planar = (k >= 2u * n) && (self->filter.propagation.base_rates == 1u);
-    return planar ? axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2] : self->signal[k];
+    return planar ? zygos_dot3(axis, omega) : self->signal[k];
 }
 
 /* State and bias at the newest of the readings with which the state begins: rates are those of a parabola through

@@ -322,7 +322,7 @@ void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, con
         } else if (w == 3u) {
             value = omega[k - 2u * n];
         } else {
-            value = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2];
+            value = zygos_dot3(axis, omega);
         }
         (void)zygos_refiner_use(self, config, k, value, UNLIMITED, work);
     }

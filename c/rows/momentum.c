@@ -100,7 +100,7 @@ static void columns(const zygos_config_t *config, const zygos_motion_t *motion, 
     (void)zygos_kinetic_products(config, rate, (const double(*)[3])whole, out);
     for (uint32_t i = 0; i < config->joints; i++) {
         const double *z = motion->axis[i];
-        const double along = space ? axis[0] * z[0] + axis[1] * z[1] + axis[2] * z[2] : 1.0;
+        const double along = space ? zygos_dot3(axis, z) : 1.0;
         out[kinetic + i] = config->joint[i].gear_ratio * spin[i] * along;
     }
 }

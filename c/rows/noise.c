@@ -228,14 +228,14 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
         const double sigma = ((s < n) && (joint->rigid == 0)) ? joint->link_sigma_rad : joint->motor_sigma_rad;
         double variance[3];
         zygos_smoother_variance(smoother, s, variance);
-        const double value_norm = zygos_root(variance[0]);
+        const double value_norm = __builtin_sqrt(variance[0]);
         const double both = variance[1] / value_norm;
         /* Rounding leaves a little of it also where a signal latches at SYNC. */
         const double shared = (both * both > ROUNDED * ROUNDED * variance[2]) ? both : 0.0;
         const double rest = variance[2] - shared * shared;
         self->factor[s][0] = sigma * value_norm;
         self->factor[s][1] = sigma * shared;
-        self->factor[s][2] = sigma * zygos_root((rest > 0.0) ? rest : 0.0);
+        self->factor[s][2] = sigma * __builtin_sqrt((rest > 0.0) ? rest : 0.0);
         self->rate_variance[s] = sigma * sigma * variance[2];
     }
     double gyro[3];
@@ -549,7 +549,7 @@ static bool add_gyro(const zygos_noise_t *self, const zygos_config_t *config, co
                      const zygos_arm_state_t *state, const zygos_motion_t *motion, uint32_t axis, double weight,
                      const zygos_noise_target_t *target)
 {
-    const double factor[3] = { weight * zygos_root(self->gyro_variance), 0.0, 0.0 };
+    const double factor[3] = { weight * __builtin_sqrt(self->gyro_variance), 0.0, 0.0 };
     double rate[ZYGOS_MAX_COLUMNS + 1];
     double none[ZYGOS_MAX_COLUMNS + 1];
     if (!clear(&self->gyro, rate, none)) {
@@ -605,7 +605,7 @@ bool zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, co
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     const uint32_t encoders = 2u * config->joints;
     const uint32_t sensors = encoders + (gyro ? (space ? 3u : 1u) : 0u);
-    const double share = weight * zygos_root((double)stride);
+    const double share = weight * __builtin_sqrt((double)stride);
     for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
         if (sensor >= encoders) {
             whole = add_gyro(self, config, column_map, state, motion, sensor - encoders, share, target) && whole;

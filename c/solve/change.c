@@ -35,7 +35,7 @@ typedef struct {
 
 static double packed_entry(const double *packed, uint32_t i, uint32_t j)
 {
-    return (i >= j) ? packed[zygos_gram_entries(i) + j] : packed[zygos_gram_entries(j) + i];
+    return packed[zygos_gram_place(i, j)];
 }
 
 /* An entry of the sums from which as much noise is subtracted as from those of the running solution. */

@@ -33,13 +33,7 @@
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
 static uint32_t entry_at(uint32_t i, uint32_t j)
 {
-    return i * (i + 1u) / 2u + j;
-}
-
-/* The same of any entry. */
-static uint32_t at_any(uint32_t i, uint32_t j)
-{
-    return (i >= j) ? entry_at(i, j) : entry_at(j, i);
+    return zygos_gram_entries(i) + j;
 }
 
 static double not_a_number(void)
@@ -180,7 +174,7 @@ static uint32_t independent(zygos_solver_t *work, uint32_t p)
         if (!(left[best] > ZYGOS_PIVOT_LIMIT)) {
             return k;
         }
-        const double diagonal = zygos_root(left[best]);
+        const double diagonal = __builtin_sqrt(left[best]);
         const uint32_t swap = work->pivot[k];
         work->pivot[k] = work->pivot[best];
         work->pivot[best] = swap;
@@ -193,7 +187,7 @@ static uint32_t independent(zygos_solver_t *work, uint32_t p)
         l[entry_at(k, k)] = diagonal;
         for (uint32_t i = k + 1u; i < p; i++) {
             double *row = &l[entry_at(i, 0)];
-            double sum = work->matrix[at_any(work->pivot[i], work->pivot[k])][0];
+            double sum = work->matrix[zygos_gram_place(work->pivot[i], work->pivot[k])][0];
             for (uint32_t j = 0; j < k; j++) {
                 sum -= row[j] * l[entry_at(k, 0) + j];
             }
@@ -259,7 +253,7 @@ static void factorise_both(double (*l)[2], uint32_t p, uint32_t *rank)
         }
         for (uint32_t side = 0; (side < 2u) && (i < p); side++) {
             const double left = row[i][side] - square[side];
-            row[i][side] = (left > ZYGOS_PIVOT_LIMIT) ? zygos_root(left) : infinity();
+            row[i][side] = (left > ZYGOS_PIVOT_LIMIT) ? __builtin_sqrt(left) : infinity();
             rank[side] += (left > ZYGOS_PIVOT_LIMIT) ? 1u : 0u;
         }
     }
@@ -336,7 +330,7 @@ static void hold(const zygos_solver_t *work, uint32_t p, uint32_t i, double valu
 {
     for (uint32_t side = 0; side < 2u; side++) {
         for (uint32_t j = 0; j < p; j++) {
-            double *both = &work->matrix[at_any(i, j)][side];
+            double *both = &work->matrix[zygos_gram_place(i, j)][side];
             work->matrix[entry_at(p, j)][side] -= *both * value;
             *both = (i == j) ? 1.0 : 0.0;
         }
@@ -423,7 +417,7 @@ static void embed(const zygos_solver_t *work, uint32_t i, const double *local, d
     for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
         const uint32_t place_a = place_of(work, i, a);
         for (uint32_t b = 0; b <= a; b++) {
-            out[stride * at_any(place_a, place_of(work, i, b))] += factor * local[entry_at(a, b)];
+            out[stride * zygos_gram_place(place_a, place_of(work, i, b))] += factor * local[entry_at(a, b)];
         }
     }
 }
@@ -465,7 +459,7 @@ static void mark_identifiable(zygos_solver_t *work, uint32_t p, uint32_t rank, z
     for (uint32_t d = rank; d < p; d++) {
         out->identifiable[work->pivot[d]] = 0;
         for (uint32_t i = 0; i < rank; i++) {
-            x[i][0] = work->matrix[at_any(work->pivot[i], work->pivot[d])][0];
+            x[i][0] = work->matrix[zygos_gram_place(work->pivot[i], work->pivot[d])][0];
             x[i][1] = 0.0;
         }
         substitute(work->factor, 0, rank, x);
@@ -485,8 +479,9 @@ static double norm_of(const zygos_solver_t *work, uint32_t p, uint32_t rank)
     for (uint32_t i = 0; i < p; i++) {
         double column = 0.0;
         for (uint32_t j = 0; (j < p) && (work->factor[entry_at(i, i)] < infinity()); j++) {
-            column +=
-                (work->factor[entry_at(j, j)] < infinity()) ? zygos_magnitude(work->matrix[at_any(i, j)][0]) : 0.0;
+            column += (work->factor[entry_at(j, j)] < infinity())
+                          ? zygos_magnitude(work->matrix[zygos_gram_place(i, j)][0])
+                          : 0.0;
         }
         norm = (column > norm) ? column : norm;
     }
@@ -689,7 +684,7 @@ static void finish_jackknife(zygos_solver_t *work, uint32_t p, double *covarianc
         /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
         const double least = work->linearised_variance[i];
         const double variance = (work->product[i] > least) ? work->product[i] : least;
-        work->product[i] = (variance > 0.0) ? zygos_root(variance / covariance[entry_at(i, i)]) : 1.0;
+        work->product[i] = (variance > 0.0) ? __builtin_sqrt(variance / covariance[entry_at(i, i)]) : 1.0;
     }
     for (uint32_t i = 0; i < p; i++) {
         for (uint32_t j = 0; j <= i; j++) {
@@ -773,7 +768,7 @@ static void measure_columns(const zygos_solver_t *work, const double *x, double 
         size[k] = (k < column_map->body) ? moment : 0.0;
         if (k < column_map->kinetic) {
             (void)pair_of(&work->sums->config, k, &a, &b);
-            size[k] = zygos_root(diagonal[a] * diagonal[b]);
+            size[k] = __builtin_sqrt(diagonal[a] * diagonal[b]);
         }
         size[k] = (size[k] > zygos_magnitude(x[k])) ? size[k] : zygos_magnitude(x[k]);
     }
@@ -836,7 +831,7 @@ static void subtract_rotors(const zygos_solver_t *work, double *m, uint32_t size
             } else {
                 /* Of a planar arm each direction has all of Im, for each a_ij stands once a direction. */
                 memset(y, 0, sizeof y);
-                y[base + 2u * i - 2u + d] = zygos_root(2.0);
+                y[base + 2u * i - 2u + d] = __builtin_sqrt(2.0);
             }
             for (uint32_t a = 0; a < size; a++) {
                 for (uint32_t b = 0; b <= a; b++) {
@@ -863,7 +858,7 @@ static bool eliminates(double *m, uint32_t size, uint32_t split)
             } else if (i > j) {
                 m[entry_at(i, j)] = sum / m[entry_at(j, j)];
             } else if (sum > 0.0) {
-                m[entry_at(i, i)] = zygos_root(sum);
+                m[entry_at(i, i)] = __builtin_sqrt(sum);
             } else {
                 return false;
             }
@@ -953,7 +948,7 @@ static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
     out->sigma[i] = not_a_number();
     out->half95[i] = not_a_number();
     for (uint32_t j = 0; j < p; j++) {
-        out->covariance[(i >= j) ? entry_at(i, j) : entry_at(j, i)] = not_a_number();
+        out->covariance[zygos_gram_place(i, j)] = not_a_number();
     }
 }
 
@@ -1130,7 +1125,7 @@ static uint32_t scale_sums(zygos_solver_t *work, uint32_t p)
 {
     for (uint32_t i = 0; i < p; i++) {
         const double square = work->total[entry_at(i, i)] + work->noise[entry_at(i, i)];
-        work->scale[i] = (square > 0.0) ? 1.0 / zygos_root(square) : 0.0;
+        work->scale[i] = (square > 0.0) ? 1.0 / __builtin_sqrt(square) : 0.0;
     }
     equations_of_all(work, p, p, 0.0, 0.0);
     return independent(work, p);
@@ -1188,7 +1183,7 @@ static void widen(const zygos_solver_t *work, uint32_t p, zygos_estimate_t *out)
 {
     for (uint32_t i = 0; i < p; i++) {
         out->covariance[entry_at(i, i)] += work->noise_square[i];
-        out->sigma[i] = zygos_root(out->covariance[entry_at(i, i)]);
+        out->sigma[i] = __builtin_sqrt(out->covariance[entry_at(i, i)]);
     }
 }
 
@@ -1267,8 +1262,8 @@ static void add_torque_noise(zygos_solver_t *work, uint32_t p, double *covarianc
 static void set_gain_cost(zygos_solver_t *work, uint32_t p, uint32_t g, double cost)
 {
     const double scale = work->scale[p - work->gains + g];
-    const double least = (scale > 0.0) ? zygos_root(LEAST_PRIOR) * gain_sigma(work, g) / scale : 0.0;
-    work->gain_cost[g] = (cost > least * least) ? zygos_root(cost) : least;
+    const double least = (scale > 0.0) ? __builtin_sqrt(LEAST_PRIOR) * gain_sigma(work, g) / scale : 0.0;
+    work->gain_cost[g] = (cost > least * least) ? __builtin_sqrt(cost) : least;
 }
 
 /* Gives the gains, which were held, their prior. It stands beside the sums as information does that is worth as much:
@@ -1362,7 +1357,7 @@ static void write_intervals(const zygos_solver_t *work, uint32_t p, zygos_estima
         const double scatter = out->sigma[i] * out->sigma[i] - certain;
         const double factor = student(work->degrees_of_freedom[i]);
         const double square = factor * factor * ((scatter > 0.0) ? scatter : 0.0) + TWO_SIGMAS * TWO_SIGMAS * certain;
-        out->half95[i] = (certain > 0.0) ? zygos_root(square) : factor * out->sigma[i];
+        out->half95[i] = (certain > 0.0) ? __builtin_sqrt(square) : factor * out->sigma[i];
     }
 }
 
@@ -1394,7 +1389,7 @@ static void withhold_imprecise(zygos_solver_t *work, bool full, zygos_estimate_t
         solve_both(work, p, rank);
         for (uint32_t i = 0; i < p; i++) {
             const double shift = work->change[i][0] - out->value[i];
-            out->sigma[i] = zygos_root(out->sigma[i] * out->sigma[i] + shift * shift);
+            out->sigma[i] = __builtin_sqrt(out->sigma[i] * out->sigma[i] + shift * shift);
             out->covariance[entry_at(i, i)] += shift * shift;
         }
     }
@@ -1434,8 +1429,8 @@ static double cluster(const zygos_solver_t *work, uint32_t p, double residual, d
         means += (block->head.total > 0.0) ? sum * sum / (block->head.total * block->head.total) : 0.0;
     }
     const double blocks = (double)(work->blocks.end - work->blocks.first);
-    const double spread = zygos_root(work->spread / work->instants);
-    *share = zygos_root(means / blocks) / spread;
+    const double spread = __builtin_sqrt(work->spread / work->instants);
+    *share = __builtin_sqrt(means / blocks) / spread;
     return squares / (blocks * residual * residual);
 }
 
@@ -1645,7 +1640,7 @@ static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, double r
     const double squares = (sums->joint_sums > 0.0) ? apart / sums->joint_sums : 0.0;
     /* Each sum is divided by the root of twice its number of rows. */
     const double rows = (sums->joint_sums > 0.0) ? work->instants / sums->joint_sums : 1.0;
-    *share = (work->spread > 0.0) ? zygos_root(2.0 * squares / rows * work->instants / work->spread) : 0.0;
+    *share = (work->spread > 0.0) ? __builtin_sqrt(2.0 * squares / rows * work->instants / work->spread) : 0.0;
     return squares / (residual * residual);
 }
 
@@ -1682,7 +1677,7 @@ static residuals_t residuals_of(const zygos_solver_t *work, uint32_t p)
 {
     residuals_t out = { .share = 0.0 };
     out.square = energy_left(work, p, work->solution, &out.explained);
-    const double residual = zygos_root(out.square / work->instants);
+    const double residual = __builtin_sqrt(out.square / work->instants);
     if ((residual > 0.0) && (work->joints_alone != 0)) {
         out.cluster = cluster_of_joints(work, p, residual, &out.share);
     } else if (residual > 0.0) {
@@ -1696,7 +1691,7 @@ static residuals_t residuals_of(const zygos_solver_t *work, uint32_t p)
 static bool report_residuals(const zygos_solver_t *work, const residuals_t *left, zygos_estimate_t *out)
 {
     const double least = work->joints_alone ? ZYGOS_JOINT_CLUSTER_SHARE : ZYGOS_CLUSTER_SHARE;
-    out->residual = zygos_root(left->square / work->instants);
+    out->residual = __builtin_sqrt(left->square / work->instants);
     out->noise_ratio = (left->explained > 0.0) ? left->square / left->explained : not_a_number();
     out->cluster = left->cluster;
     return (left->cluster <= ZYGOS_CLUSTER_LIMIT) || (left->share <= least);

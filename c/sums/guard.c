@@ -652,11 +652,6 @@ static void begin_solution(zygos_sums_t *sums)
     self->checksum = guard_checksum(self);
 }
 
-static bool is_within(double x, double low, double high)
-{
-    return (x >= low) && (x <= high);
-}
-
 /* Whether an estimate is one that arcs can be compared with. */
 static bool is_adoptable(const zygos_sums_t *sums, const zygos_estimate_t *estimate)
 {
@@ -668,7 +663,7 @@ static bool is_adoptable(const zygos_sums_t *sums, const zygos_estimate_t *estim
     const bool waits = (self->known != 0) && (self->held_instants > 0.0) &&
                        (self->held_instants < zygos_guard_enough(&sums->config, p));
     return ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && !waits && (estimate->parameters == p) &&
-           (estimate->cycle > self->since) && is_within(estimate->residual, 0.0, LARGEST_SUM);
+           (estimate->cycle > self->since) && zygos_within(estimate->residual, 0.0, LARGEST_SUM);
 }
 
 bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
@@ -679,7 +674,8 @@ bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
     double wider[ZYGOS_MAX_PARAMETERS];
     for (uint32_t i = 0; good && (i < p); i++) {
         wider[i] = (estimate->sigma[i] > 0.0) ? estimate->half95[i] / (TWO_SIGMAS * estimate->sigma[i]) : 1.0;
-        good = is_within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && is_within(wider[i], 0.0, LARGEST_SUM);
+        good =
+            zygos_within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && zygos_within(wider[i], 0.0, LARGEST_SUM);
     }
     if (!good) {
         return false;
@@ -691,7 +687,7 @@ bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
         self->dropped = estimate->since;
     }
     const double ratio = estimate->noise_ratio;
-    self->noise_ratio = is_within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
+    self->noise_ratio = zygos_within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
     self->cluster = (estimate->cluster > ZYGOS_GUARD_CLUSTER) ? estimate->cluster : ZYGOS_GUARD_CLUSTER;
     self->energy.residual = estimate->residual * estimate->residual;
     memcpy(self->solution, estimate->solution, sizeof self->solution);

@@ -19,6 +19,12 @@ static inline uint32_t zygos_gram_entries(uint32_t width)
     return width * (width + 1u) / 2u;
 }
 
+/// Returns the place of an entry of a symmetric matrix whose lower triangle is packed by rows.
+static inline uint32_t zygos_gram_place(uint32_t i, uint32_t j)
+{
+    return (i >= j) ? zygos_gram_entries(i) + j : zygos_gram_entries(j) + i;
+}
+
 /// Returns the bits of a number. The compiler's own memcpy() is one load, also where a freestanding build has no other
 /// than that of a library.
 static inline uint64_t zygos_bits_of(double x)

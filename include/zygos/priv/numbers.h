@@ -27,11 +27,6 @@ static inline double zygos_magnitude(double x)
     return (x < 0.0) ? -x : x;
 }
 
-static inline double zygos_root(double x)
-{
-    return __builtin_sqrt(x);
-}
-
 static inline bool zygos_within(double x, double low, double high)
 {
     return (x >= low) && (x <= high);
