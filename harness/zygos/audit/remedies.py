@@ -176,8 +176,8 @@ def unit(arm: Arm, kind: Kind, i: int, name: str, factor: float) -> Remedy:
     if name != "counts":
         return Remedy(_of_map(setting), (setting,))
     encoder = _encoder(arm, kind, i)[1]
-    declared = encoder.counts is not None and abs(factor / encoder.quantum_rad - 1.0) < 1e-9
-    turn = encoder.counts if declared and encoder.counts is not None else float(f"{2.0 * math.pi / factor:.6g}")
+    as_declared = abs(factor / encoder.quantum_rad - 1.0) < 1e-9
+    turn = encoder.counts if as_declared and encoder.counts is not None else float(f"{2.0 * math.pi / factor:.6g}")
     counts = _in_map(arm, kind, i, "counts_per_turn", turn)
     return Remedy(f"{setting} and {_of_map(counts)}", (setting, counts))
 

@@ -102,8 +102,7 @@ def find_scale(case: Case, kind: Kind, i: int, scale: Scale, evidence: str) -> N
 
 def find_torque_scale(case: Case, i: int, factor: float, evidence: str) -> None:
     """Report a torque that has to be multiplied by a measured factor: in another unit, or by a wrong gear ratio."""
-    units = [Scale(own, unit) for unit, own in FACTORS[quantity(case.arm, "tau")].items()]
-    unit = nearest(units, factor, limits.SCALE_OFF.value)
+    unit = _torque_unit(case.arm, factor)
     if unit is not None:
         find_scale(case, "tau", i, unit, evidence)
         return
@@ -114,9 +113,12 @@ def find_torque_scale(case: Case, i: int, factor: float, evidence: str) -> None:
 
 def common_torque_scale(arm: Arm, i: int, factor: float) -> bool:
     """Whether a factor by which a torque has to be multiplied is that of a unit or of the other side of its gear."""
-    units = [Scale(own) for own in FACTORS[quantity(arm, "tau")].values()]
-    within = limits.SCALE_OFF.value
-    return nearest(units, factor, within) is not None or remedies.other_side(arm, i, factor)
+    return _torque_unit(arm, factor) is not None or remedies.other_side(arm, i, factor)
+
+
+def _torque_unit(arm: Arm, factor: float) -> Scale | None:
+    units = [Scale(own, unit) for unit, own in FACTORS[quantity(arm, "tau")].items()]
+    return nearest(units, factor, limits.SCALE_OFF.value)
 
 
 def stretches(cycles: Cycles) -> list[tuple[int, int]]:

@@ -74,10 +74,7 @@ def weights(run: Run, simulation: Model) -> list[Weight]:
     rows = torque_rows(arm, motion.samples, min(cutoff_hz(run.arm), limits.HIGHEST_CUTOFF_HZ.value))
     needed = rows.z @ simulation.base_values(arm)
     gravity = -gravity_forces(arm, rows.state, simulation.first_moments(arm)) @ np.array(arm.gravity)
-    acceleration = np.zeros_like(rows.state.qd)
-    for segment in np.unique(rows.segment):
-        of = rows.segment == segment
-        acceleration[of] = np.gradient(rows.state.qd[of], rows.period_s, axis=0)
+    acceleration = rows.acceleration
     rubbing = rows.filtered(np.tanh(rows.state.qd / _SLOW))
     out = []
     for j in range(arm.n):

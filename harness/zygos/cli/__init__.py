@@ -134,20 +134,15 @@ class Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """The called command, completely loaded. Errors: that of a wrong name, with the name that was meant."""
-        if args and args[0] not in {*COMMANDS, *FORMER} and (meant := get_close_matches(args[0], COMMANDS, 1)):
-            ctx.fail(f"No such command '{args[0]}'. Did you mean '{meant[0]}'?")
         if args and args[0] in FORMER:
             note(f"zygos: {args[0]} goes in the next version: {FORMER[args[0]][1]}")
             return args[0], load(args[0]), args[1:]
-        if (
-            args[:1] == ["check-arm"]
-            and args[1:2]
-            and args[1].lower().endswith(".toml")
-            and args[2:3]
-            and (args[2] == "-" or not args[2].startswith("-"))
-        ):
-            note("zygos: ARM.toml before RUN goes in the next version: `zygos check-arm RUN --arm ARM.toml`")
-            args = ["check-arm", args[2], "--arm", args[1], *args[3:]]
+        if args and args[0] not in COMMANDS and (meant := get_close_matches(args[0], COMMANDS, 1)):
+            ctx.fail(f"No such command '{args[0]}'. Did you mean '{meant[0]}'?")
+        match args:
+            case ["check-arm", arm, run, *rest] if arm.lower().endswith(".toml") and (run == "-" or run[:1] != "-"):
+                note("zygos: ARM.toml before RUN goes in the next version: `zygos check-arm RUN --arm ARM.toml`")
+                args = ["check-arm", run, "--arm", arm, *rest]
         name, found, rest = super().resolve_command(ctx, args)
         return name, load(name) if name and found else found, rest
 

@@ -29,28 +29,26 @@ class Best:
     """Why the values are those of energy rows; empty where they are refined."""
 
     @property
+    def published(self) -> Refinement | None:
+        """The refinement, where all its rules hold."""
+        return None if self.reason else self.refined
+
+    @property
     def model(self) -> Model:
         """The model to write. Errors: Undecided where the estimate was refused."""
-        return self.energy.to_model() if self.reason or self.refined is None else self.refined.to_model()
+        return (self.published or self.energy).to_model()
 
     def values(self) -> list[dict[str, Any]]:
         """What is published of each parameter, from where, and why: the entry `values` of the JSON."""
-        found = self.energy.result
-        listed_values = zip(
-            found.names, found.units, found.value.tolist(), found.sigma.tolist(), found.half95.tolist(), strict=True
-        )
-        out = [
-            {"name": name, "unit": unit, "value": value, "sigma": sigma, "half95": half,
-             "source": "energy balance", "reason": self.reason}
-            for name, unit, value, sigma, half in listed_values
-        ]  # fmt: skip
-        if self.reason or self.refined is None:
+        out: list[dict[str, Any]] = [
+            {**vars(one), "source": "energy balance", "reason": self.reason} for one in self.energy.values()
+        ]
+        better = self.published
+        if better is None:
             return out
-        better = self.refined
-        columns = {
-            name: (float(value), float(sigma))
-            for name, value, sigma in zip(better.names, better.value, better.sigma, strict=True)
-        } | {one.column(better.arm): (one.value, one.sigma) for one in better.effects}
+        columns = {one.name: (one.value, one.sigma) for one in better.values()} | {
+            one.column(better.arm): (one.value, one.sigma) for one in better.effects
+        }
         for entry in out:
             if entry["name"] in columns:
                 value, sigma = columns[entry["name"]]
@@ -82,12 +80,12 @@ class Best:
         """The answer of the energy rows, with the published values in front, and what was checked of the refinement
         behind it; draw: with its charts."""
         values = self.values()
-        if self.reason:
+        better = self.published
+        if better is None:
             said = f"The values are those of the energy balance, not refined: {self.reason}."
         else:
-            assert self.refined is not None
             said = "The values are refined: all rules of the refinement hold"
-            part = self.refined.part
+            part = better.part
             said += f". Only {part} were refined, to stay within the memory of a refinement." if part else "."
         rows = [
             (one["name"], down_to(one["value"], one["sigma"]), figure(one["half95"], 2), unit_of(one["unit"]),

@@ -22,7 +22,6 @@ from zygos.files.output import check_outputs
 from zygos.files.progress import progress
 from zygos.model.model import Model, load_model
 from zygos.report.provenance import provenance
-from zygos.simulators.file import is_simulator_file, read_robot
 
 
 def check_arm_run(run: Path, arm_file: Path, simulation: Path | None, wanted: Wanted, command: Sequence[str]) -> None:
@@ -51,6 +50,8 @@ def check_arm_run(run: Path, arm_file: Path, simulation: Path | None, wanted: Wa
 
 def _model(simulation: Path, arm: Arm) -> Model:
     """The model of a file of bodies. Errors: ZygosError where it does not weigh the torques of the arm."""
+    from zygos.simulators.file import is_simulator_file, read_robot  # noqa: PLC0415  (of use here alone, and slow to load)
+
     model = read_robot(simulation, arm).model(arm) if is_simulator_file(simulation) else load_model(simulation)
     check_weighed(arm, model)
     return model

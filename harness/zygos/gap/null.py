@@ -88,6 +88,11 @@ class Chance:
         passing = -0.5 * np.expm1(np.log1p(-rate) / self.count)
         return float(student_isf(passing ** (1.0 / self.runs), self.freedom))
 
+    def beside(self, others: int, rate: float = limits.FALSE_ALARMS.value) -> Chance:
+        """With so many more candidates, which count as independent."""
+        wider = replace(self, candidates=self.candidates + others, count=self.count + others)
+        return replace(wider, threshold=max(self.threshold, wider.needed(rate)))
+
     @property
     def false_alarms(self) -> float:
         """Share of searches on runs that lack nothing in which noise alone names a candidate."""
@@ -105,15 +110,8 @@ def chance(study: Study, names: Sequence[str], rate: float = limits.FALSE_ALARMS
             largest = np.abs(known).max(axis=1)
             most = max(most, float(-len(largest) / np.sum(np.log1p(-2.0 * normal_sf(largest)))))
     readings = study.twin_sums[0].gram[0].shape[0]
-    found = Chance(
-        len(study.records),
-        len(names) + others,
-        most + others,
-        readings - 1,
-        limits.NULL_DRAWS.value,
-        limits.NAMED_Z.value,
-    )
-    return replace(found, threshold=max(limits.NAMED_Z.value, found.needed(rate)))
+    draws, floor = limits.NULL_DRAWS.value, limits.NAMED_Z.value
+    return Chance(len(study.records), len(names), most, readings - 1, draws, floor).beside(others, rate)
 
 
 def _by_arc(study: Study, names: Sequence[str], runs: Sequence[int], run: int) -> Array:

@@ -208,9 +208,7 @@ def refined(found: Search, every: Study) -> Search:
     """The search where laws are compared about their own models: every law of its family in the place of each one that
     was named, and every entry of the catalogue beside them all. Those are taken, one after the other, that leave far
     less over; itself where none do. every: the closed study `widened`."""
-    others = _possible_of(every) - _possible_of(found.before)
-    luck = replace(found.chance, count=found.chance.count + others, candidates=found.chance.candidates + others)
-    luck = replace(luck, threshold=max(luck.threshold, luck.needed(limits.FALSE_ALARMS.value)))
+    luck = found.chance.beside(_possible_of(every) - _possible_of(found.before))
     now, wide = replace(found, chance=luck), every
     if found.after.layout.loose:
         # errors of sensors that were set free before effects were tried compete with these, and pay

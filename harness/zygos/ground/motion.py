@@ -152,6 +152,15 @@ class TorqueRows:
     kept: NDArray[np.bool_]
     """(m,) False at the ends of a segment, where the filter settles."""
 
+    @property
+    def acceleration(self) -> Floats:
+        """(m, N) of the filtered motion, rad/s^2."""
+        out = np.zeros_like(self.state.qd)
+        for number in np.unique(self.segment):
+            of = self.segment == number
+            out[of] = np.gradient(self.state.qd[of], self.period_s, axis=0)
+        return out
+
     def filtered(self, column: Floats) -> Floats:
         """A column (m, ...) of an effect, through the filter of the torques."""
         out = np.zeros_like(column)

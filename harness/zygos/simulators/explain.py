@@ -284,8 +284,7 @@ class FileExplanation:
     def written_as(self, out: Path) -> InSimulator:
         """The corrected file in the format of a name, measured. Errors: as `to_mjcf`."""
         robot = for_output(self.robot, out)
-        own = self._measured(robot) if robot.translated else self.simulator
-        return own
+        return self._measured(robot) if robot.translated else self.simulator
 
     def to_mjcf(self) -> str:
         """The text of the corrected MJCF, beside the file that was read; also of a URDF. Errors: Undecided where no

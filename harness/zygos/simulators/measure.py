@@ -104,11 +104,7 @@ class Simulator:
 def simulated(simulator: Simulator, one: Prediction, stage: Stage) -> Simulated:
     """An untouched run by a file. stage: what the file holds, for zygos' own equations."""
     rows, arm = one.rows, one.run.arm
-    qdd = np.zeros_like(rows.state.qd)
-    for number in np.unique(rows.segment):
-        of = rows.segment == number
-        qdd[of] = np.gradient(rows.state.qd[of], rows.period_s, axis=0)
-    bodies, friction = simulator.inverse(rows.state.q, rows.state.qd, qdd)
+    bodies, friction = simulator.inverse(rows.state.q, rows.state.qd, rows.acceleration)
     score = scored_torques(one.run, stage.name, rows, bodies + rows.filtered(friction), bodies + friction, one.motion)
     own = scored(one.run, stage.name, rows, stage.values, stage.effects, one.motion)
     assert arm.torque_at == "joint" or arm.n == len(score.joints)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.errors import ZygosError
 from zygos.simulators.robot import written
-from zygos.simulators.xml import Element, parsed
+from zygos.simulators.xml import Element, end_of, parsed
 
 _KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "fixed": ""}
 """Types of joints, and what MJCF calls them."""
@@ -49,7 +49,7 @@ class Translation:
         self._links = {one.attributes["name"]: one for one in root.all("link")}
         self._joints = list(root.all("joint"))
         self._materials = {one.attributes.get("name", ""): one for one in root.all("material")}
-        self._meshes: dict[tuple[str, str], str] = {}
+        self._meshes: dict[str, str] = {}
         self._lost: dict[str, list[str]] = {}
         self._solid: set[str] = set()
         for joint in self._joints:
@@ -62,7 +62,7 @@ class Translation:
     def text(self, armatures: Mapping[str, float]) -> str:
         """The MJCF. armatures: of joints by name, kg m^2."""
         bodies = [line for root in self._roots() for line in self._body(root, "    ", None, armatures)]
-        assets = [f"    <mesh name={quoteattr(name)} {rest}/>" for (rest, _), name in self._meshes.items()]
+        assets = [f"    <mesh name={quoteattr(name)} {rest}/>" for rest, name in self._meshes.items()]
         parts = [
             f"<!-- From {self._path.name.replace('--', '- -')} -->",
             f"<mujoco model={quoteattr(self._name)}>",
@@ -87,8 +87,8 @@ class Translation:
         return [f"{what}: {', '.join(of)}" for what, of in self._lost.items()]
 
     def _roots(self) -> list[str]:
-        children = {_end(joint, "child") for joint in self._joints}
-        parents = [_end(joint, "parent") for joint in self._joints]
+        children = {end_of(joint, "child") for joint in self._joints}
+        parents = [end_of(joint, "parent") for joint in self._joints]
         return [one for one in dict.fromkeys([*self._links, *parents]) if one not in children]
 
     def _body(self, link: str, indent: str, joint: Element | None, armatures: Mapping[str, float]) -> Iterator[str]:
@@ -107,8 +107,8 @@ class Translation:
                 yield from self._joint(joint, inside, armatures)
             yield from self._geometry(element, inside)
         for one in self._joints:
-            if _end(one, "parent") == link:
-                yield from self._body(_end(one, "child"), inside, one, armatures)
+            if end_of(one, "parent") == link:
+                yield from self._body(end_of(one, "child"), inside, one, armatures)
         if not world:
             yield f"{indent}</body>"
 
@@ -187,7 +187,7 @@ class Translation:
             return ""
         place = Path(os.path.relpath(file, self._folder)).as_posix()
         rest = f"file={quoteattr(place)}" + ("" if scale == "1 1 1" else f' scale="{scale}"')
-        name = self._meshes.setdefault((rest, scale), f"{file.stem} {len(self._meshes) + 1}")
+        name = self._meshes.setdefault(rest, f"{file.stem} {len(self._meshes) + 1}")
         return f'type="mesh" mesh={quoteattr(name)}'
 
     def _colour(self, visual: Element) -> str:
@@ -202,16 +202,16 @@ class Translation:
         fixed = {one for root in self._roots() for one in self._welded(root)}
         pairs = []
         for joint in self._joints:
-            if _KINDS[joint.attributes["type"]] and _end(joint, "parent") in fixed:
-                behind = [one for one in self._welded(_end(joint, "child")) if one in self._solid]
+            if _KINDS[joint.attributes["type"]] and end_of(joint, "parent") in fixed:
+                behind = [one for one in self._welded(end_of(joint, "child")) if one in self._solid]
                 pairs += [(one, other) for one in fixed & self._solid for other in behind]
         return [f"<exclude body1={quoteattr(one)} body2={quoteattr(other)}/>" for one, other in sorted(pairs)]
 
     def _welded(self, link: str) -> Iterator[str]:
         yield link
         for joint in self._joints:
-            if _end(joint, "parent") == link and not _KINDS[joint.attributes["type"]]:
-                yield from self._welded(_end(joint, "child"))
+            if end_of(joint, "parent") == link and not _KINDS[joint.attributes["type"]]:
+                yield from self._welded(end_of(joint, "child"))
 
     def _coupled(self) -> list[str]:
         lines = []
@@ -234,12 +234,6 @@ class Translation:
             most = f' ctrlrange="{written([-effort])} {written([effort])}"' if effort > 0.0 else ""
             lines.append(f"<motor name={name} joint={name}{most}/>")
         return lines
-
-
-def _end(joint: Element, which: str) -> str:
-    """The link that a joint names as parent or child."""
-    link = joint.first(which)
-    return "" if link is None else link.attributes.get("link", "")
 
 
 def _text(element: Element | None, key: str, usual: str) -> str:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.errors import ZygosError
 from zygos.simulators.robot import Hinge, Lump, Owner, Robot, written
-from zygos.simulators.xml import Document, Edits, Element, parsed, read_document
+from zygos.simulators.xml import Document, Edits, Element, end_of, parsed, read_document
 from zygos.urdf.chain import Chain, read_chain, read_chain_of
 
 Array = NDArray[np.float64]
@@ -71,13 +71,8 @@ def read_urdf(path: Path, joints: Sequence[str] | int | None, gravity: Sequence[
 
 def _chain(path: Path, document: Document, joints: Sequence[str] | int | None) -> Chain:
     made = {one.attributes.get("name", ""): one for one in document.root.all("joint")}
-
-    def end(name: str, which: str) -> str:
-        link = made[name].first(which)
-        return "" if link is None else link.attributes.get("link", "")
-
     if joints is not None and not isinstance(joints, int) and all(name in made for name in joints):
-        return read_chain_of(path, end(joints[0], "parent"), joints)
+        return read_chain_of(path, end_of(made[joints[0]], "parent"), joints)
     if joints is None:
         return read_chain(path, weighed=False)[0]
     count = joints if isinstance(joints, int) else len(joints)
@@ -86,21 +81,21 @@ def _chain(path: Path, document: Document, joints: Sequence[str] | int | None) -
         """The joints that move what is fixed to a link."""
         found = []
         for name, joint in made.items():
-            if end(name, "parent") == link:
-                found += moving(end(name, "child")) if joint.attributes.get("type") == "fixed" else [name]
+            if end_of(joint, "parent") == link:
+                found += moving(end_of(joint, "child")) if joint.attributes.get("type") == "fixed" else [name]
         return found
 
-    children = {end(name, "child") for name in made}
+    children = {end_of(made[name], "child") for name in made}
     names: list[str] = []
     after = [
         name
-        for root in dict.fromkeys(end(name, "parent") for name in made)
+        for root in dict.fromkeys(end_of(made[name], "parent") for name in made)
         if root not in children
         for name in moving(root)
     ]
     while len(names) < count and len(after) == 1:
         names += after
-        after = moving(end(names[-1], "child"))
+        after = moving(end_of(made[names[-1]], "child"))
     if len(names) < count and after:
         raise ZygosError(
             f"{path}: the chain branches: joints {', '.join(after)}; remedy: name the joints of the arm with an arm "
@@ -111,7 +106,7 @@ def _chain(path: Path, document: Document, joints: Sequence[str] | int | None) -
             f"{path}: has {len(names)} joints in a chain from the base, the runs have {count}; remedy: give the file "
             "of this arm"
         )
-    return read_chain(path, tip=end(names[-1], "child"), weighed=False)[0]
+    return read_chain(path, tip=end_of(made[names[-1]], "child"), weighed=False)[0]
 
 
 def _lump(link: Element, attitude: Array, origin: Array) -> Lump:

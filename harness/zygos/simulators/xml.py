@@ -103,6 +103,12 @@ def read_document(path: Path, includes: bool = False) -> Document:
     return Document(path, root, content, included)
 
 
+def end_of(joint: Element, which: str) -> str:
+    """The link that a joint of a URDF names as parent or child; empty where it names none."""
+    link = joint.first(which)
+    return "" if link is None else link.attributes.get("link", "")
+
+
 def parsed(path: Path, content: bytes) -> Document:
     """A file that is not on the disk. Errors: as `read_document`."""
     return Document(path, _parse(path, content), {path: content}, {})

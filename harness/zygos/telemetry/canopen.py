@@ -11,6 +11,7 @@ import configparser
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -164,11 +165,15 @@ class CanopenDrives(Drives):
     devices: tuple[Device, ...] = ()
     """One for each node."""
 
+    @cached_property
+    def _sent(self) -> tuple[list[Message], ...]:
+        return tuple(device.messages(node) for device, node in zip(self.devices, self.nodes, strict=True))
+
     def entry(self, index: int, kind: str) -> dict[str, Any]:
         """As `Drives.entry`. Errors: ZygosError where no process data have the object."""
         device, node = self.devices[index], self.nodes[index]
         wanted = {"motor": POSITION, "torque": TORQUE, "link": SECOND_POSITION}[kind]
-        for message in device.messages(node):
+        for message in self._sent[index]:
             if any(signal.name == _NAMES[wanted] for signal in message.signals):
                 source = f"{message.name}.{_NAMES[wanted]}"
                 break
@@ -186,11 +191,7 @@ class CanopenDrives(Drives):
 
     def dictionary(self) -> Dictionary:
         """As `Drives.dictionary`."""
-        messages = {
-            message.name: message
-            for device, node in zip(self.devices, self.nodes, strict=True)
-            for message in device.messages(node)
-        }
+        messages = {message.name: message for sent in self._sent for message in sent}
         return Dictionary(tuple(dict.fromkeys(device.path for device in self.devices)), messages, {}, {})
 
 

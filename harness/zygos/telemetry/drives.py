@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +76,14 @@ class Drives:
                 messages[clone.name] = clone
         return replace(shipped, messages=messages, ignored_bits=profile.get("ignored_bits", 0))
 
+    @cached_property
+    def _known(self) -> Dictionary:
+        return self.dictionary()
+
     def step(self, index: int, kind: str) -> float | None:
         """The change of angle or torque of one count, rad or Nm; None for values in floating point."""
         entry = self.entry(index, kind)
-        _, signal = self.dictionary().find(entry["signal"], self.name)
+        _, signal = self._known.find(entry["signal"], self.name)
         if signal.is_float:
             return None
         unit = UNITS["torque" if kind == "torque" else "angle"][entry["unit"]]
@@ -92,8 +97,9 @@ class Drives:
                 "name the node of each joint, from the base on"
             )
         joints: list[dict[str, Any]] = []
+        described = self.profile.get("eds")
         for i, joint in enumerate(arm.joints):
-            kinds = ["motor", "torque", *(["link"] if joint.flexible and self.profile.get("eds") else [])]
+            kinds = ["motor", "torque", *(["link"] if joint.flexible and described else [])]
             joints.append({"name": joint.name} | {kind: self.entry(i, kind) for kind in kinds})
         time = {"source": "receive", "interpolation": "cubic"}
         return map_of({"time": time, "joint": joints}, f"drive {self.name}", arm, "log")
