@@ -7,6 +7,7 @@ MuJoCo is the oracle: it compiles every file that is written, and is the plant o
 from __future__ import annotations
 
 import json
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -435,6 +436,9 @@ def test_friction_of_another_engine_is_found_from_plain_tables(
     )  # fmt: skip
     said = capsys.readouterr()
     assert code == 0, said.out + said.err
+    runs = (tmp_path / "0.npz", tmp_path / "1.npz", "--validate", tmp_path / "2.npz")
+    assert run("estimate", *runs, "--simulation", cad, "-o", "-") == 0
+    assert tomllib.loads(capsys.readouterr().out)["parameters"]  # standard output is a model, as that of explain
     own = json.loads((tmp_path / "estimate.json").read_text())["simulator"]
     assert own["good"] and own["integrator"] == "IMPLICITFAST, 1 ms"
     (of_run,) = own["runs"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from zygos.cli.shared import Wanted, conclude, deliver, save_corrected, warn
 from zygos.estimation import sections
 from zygos.estimation.estimate import Estimation
-from zygos.files.output import named
+from zygos.files.output import is_dash, named
 from zygos.ground.estimate import GroundEstimate
 from zygos.ground.payload import Payload, check_found
 from zygos.ground.sections import estimate_answer, payload_answer
@@ -64,7 +64,7 @@ def finish_ground(
 ) -> None:
     """End an estimate on the ground. Raises Undecided if it is doubtful or refused. own: the corrected file of the
     simulator."""
-    in_file = own is not None and out is not None and out.suffix.lower() != ".toml"
+    in_file = own is not None and out is not None and not is_dash(out) and out.suffix.lower() != ".toml"
     where = "" if in_file and own is not None and not own.good else _where(found.validity, out)
 
     def answer(draw: bool) -> Answer:
