@@ -145,7 +145,7 @@ def test_the_plugin_counts_what_a_processor_executes(tmp_path: Path, monkeypatch
 
 
 def test_stages_of_a_callgrind_file(tmp_path: Path) -> None:
-    """Calls from c/zygos.c and c/arm.c are booked on the file of the callee, those of cycle.c into wire.c on wire; what
+    """Calls from zygos.c and arm.c are booked on the file of the callee, those of cycle.c into wire.c on wire; what
     the background does between two cycles is not counted."""
     path = tmp_path / "callgrind.out"
     path.write_text(CALLGRIND)

@@ -39,14 +39,13 @@ def test_the_site_has_every_page_once_and_a_search(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("link", ["[gone](gone.md)", "[gone](tasks.md#gone)"])
-def test_a_broken_link_ends_the_build(link: str, tmp_path: Path) -> None:
+def test_a_broken_link_ends_the_build(tmp_path: Path) -> None:
     (tmp_path / "docs").mkdir()
     shutil.copytree(ROOT / "include", tmp_path / "include")
     shutil.copy(DOCS / "conf.py", tmp_path / "docs")
     (tmp_path / "docs" / "accuracy.html").write_text("")
     (tmp_path / "docs" / "tasks.md").write_text("# Tasks\n")
-    for said, good in (("", True), (link, False)):
+    for said, good in (("", True), ("[gone](gone.md)", False), ("[gone](tasks.md#gone)", False)):
         (tmp_path / "docs" / "README.md").write_text(f"# Pages\n\n## How-to\n\n[tasks](tasks.md) {said}\n")
         done = built(tmp_path / "docs", tmp_path / "out")
         assert (done.returncode == 0) == good, done.stderr

@@ -17,7 +17,8 @@ from pathlib import Path
 import pytest
 from build_support import run, tool
 
-ROOT = Path(__file__).resolve().parents[2]
+from conftest import ROOT
+
 FOLDERS = ("c", "examples", "harness", "include", "tests", "tools")
 SOURCES = (".py", ".c", ".h", ".cpp")
 BUILT = {"build", "_native", "__pycache__", "arm_config.h"}

@@ -214,9 +214,7 @@ def test_a_single_run_that_is_too_short_is_refused(
 
 
 @pytest.mark.slow
-def test_values_after_an_option_are_that_option_again(
-    folder: Path, answer: Callable[[str], Answer], tmp_path: Path
-) -> None:
+def test_runs_in_their_former_place_are_added(folder: Path, answer: Callable[[str], Answer], tmp_path: Path) -> None:
     """The former place of runs adds to those in front."""
     more = ("--measured", folder / "nothing1.npz")
     _, found = explain(folder, tmp_path, ["nothing0"], ["nothing2"], *more)

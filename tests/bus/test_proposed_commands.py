@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: MIT
-# SPDX-License-Identifier: MIT
 """What the messages of commands propose, read from what they print and carried out."""
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The report pages of `zygos estimate`, `check` and `check-arm`: whole in one file, and for refused runs too."""
+"""The report pages of `zygos estimate`, `self-test` and `check-arm`: whole in one file, and for refused runs too."""
 
 from __future__ import annotations
 

@@ -256,13 +256,16 @@ def test_a_payload_between_the_runs_is_a_change() -> None:
 def test_a_law_of_another_form_is_not_adopted_where_it_predicts_worse() -> None:
     """A friction that reverses within 0.3 rad/s looks like a viscous one below and like a Coulomb friction above that
     rate, 3 Nm. The viscous one would have another size in each run; with the other one, fast stretches of the untouched
-    run are predicted worse than without."""
+    run are predicted worse than without. Where the runs do not tell it from others, no model is written either."""
     found = _explained(laws.MotorCoulomb(ELBOW, 3.0, v0=0.3), bench=lively(60.0))
     assert isinstance(found.verdict, Inseparable | NotAdmissible), found.sentence
     guess = found.verdict.findings[0]
     assert (guess.kind, guess.joint) == ("motor_coulomb", "elbow")
     assert 1.0 < guess.value < 3.0
     assert guess.title in found.sentence
+    if isinstance(found.verdict, NotAdmissible):
+        assert all("90th percentile" in check.name for check in found.verdict.failed)
+        assert guess.title in found.partly
     assert found.model is None
 
 

@@ -38,6 +38,7 @@ class Runs:
     "runs",
     [
         Runs("paper", 6, 1),
+        Runs("lively", 6, 1),
         Runs("spatial", 1, 2),
         Runs("lively", 1, 1, 900.0),
     ],

@@ -71,9 +71,10 @@ def test_sound_runs_are_not_doubted(sigma: float) -> None:
     alarms, runs = 0, 0
     for example in ("paper", "lively"):
         folder = ROOT / "examples" / example
-        known = with_gain_sigma(load_arm(folder / "arm.toml"), sigma)
+        arm = load_arm(folder / "arm.toml")
+        known = with_gain_sigma(arm, sigma)
         model, scenario = load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
-        motion = trajectory_of(known, model, scenario, seeds=range(SEEDS), noise=True)
+        motion = trajectory_of(arm, model, scenario, seeds=range(SEEDS), noise=True)
         for share in (0.7, 1.0, 1.4):
             plant = scaled(known, share)
             for draw in range(3):

@@ -45,7 +45,7 @@ from zygos.report.provenance import Provenance
 
 HASHES = tuple(f"{k:x}" * 64 for k in range(1, 6))
 PROVENANCE = Provenance(
-    "zygos explain --simulation cad.toml --measured A.blf B.blf --validate C.blf -o new.toml",
+    "zygos explain A.blf B.blf --simulation cad.toml --validate C.blf -o new.toml",
     "1.2.3",
     tuple(zip(("simulation", "arm", "measured", "measured", "validate"), "vwxyz", HASHES, strict=True)),
 )

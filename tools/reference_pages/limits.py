@@ -11,7 +11,7 @@ from zygos.limits import Limit
 _TABLE = Path(limits.__file__)
 _INTRO = (
     "Every threshold and every setting that decides an answer of `zygos explain`, of an estimate on the ground, "
-    "of `zygos check-arm` or `zygos refine`, and what `zygos convert` leaves out of a recording, stands in this "
+    "of `zygos check-arm` or of a refinement, and what `zygos convert` leaves out of a recording, stands in this "
     "table, and nowhere else. The JSON of `zygos explain` lists those that decided the answer under `decided_by`. "
     "The unit 1 means that a value has no unit. Sources: a *convention* is usual in the field or chosen by its "
     "purpose, *derived* values follow from others, and those of a *trial* were set with runs whose truth is "

@@ -3,27 +3,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import subprocess
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from build_support import tool
+from golden_support import CONFIGURATIONS, EXPECTED, bits, flown
 
 from conftest import tool_module
-
-
-def golden() -> ModuleType:
-    """The runs of test_golden.py, as a module of its own, of which the library can be another one."""
-    path = Path(__file__).with_name("test_golden.py")
-    spec = importlib.util.spec_from_file_location("golden_of_one_file", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from zygos.native.flight import ffi
 
 
 @pytest.mark.slow
@@ -34,8 +23,7 @@ def test_one_file_gives_the_same_bits(compiler: str, tmp_path: Path) -> None:
     flags = [*build.FLAGS.split(), "-O1", "-Werror", f"-I{tmp_path}", f"-I{build.HOST}", "-shared"]
     sources = [str(tmp_path / "zygos.c"), str(build.HOST / "batch.c")]
     subprocess.run([tool(compiler), *flags, *sources, "-lm", "-o", str(tmp_path / "libzygos.so")], check=True)
-    runs = golden()
-    runs.lib = runs.ffi.dlopen(str(tmp_path / "libzygos.so"))
-    expected = json.loads((runs.GOLDEN / "estimates.json").read_text())
-    for name in runs.CONFIGURATIONS:
-        assert [runs.bits(estimate) for estimate in runs.flown(name)] == expected[name], name
+    library = ffi.dlopen(str(tmp_path / "libzygos.so"))
+    expected = json.loads(EXPECTED.read_text())
+    for name in CONFIGURATIONS:
+        assert [bits(estimate) for estimate in flown(name, library)] == expected[name], name
