@@ -166,7 +166,7 @@ latency: $(VENV)/.test ## write the latencies of docs/hil.md and docs/latency.sv
 pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and Cortex-M4F: the host's bits (QEMU)
 	$(PYTEST) tests/pil
 
-gap: build $(VENV)/.test ## hide effects in MuJoCo plants, explain them, score the verdicts (docs/gap.md, out/gap.json; 90 minutes, resumes; CELLS= DRAWS= FROM=)
+gap: build $(VENV)/.test ## hide effects in MuJoCo plants, explain them, score the verdicts (docs/trials.md, out/gap.json; 90 minutes, resumes; CELLS= DRAWS= FROM=)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.trials $(CELLS) $(if $(DRAWS),draws=$(DRAWS)) $(if $(FROM),from=$(FROM))
 
 bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 20 minutes)

@@ -13,7 +13,7 @@ from zygos.quantiles import normal_isf
 
 Source = Literal["convention", "derived", "trial"]
 """Where a value is from: chosen as usual in the field, or by purpose; computed from something else; or set in trials
-with runs whose truth is known (docs/gap.md, docs/audit.md)."""
+with runs whose truth is known (docs/trials.md)."""
 Number = TypeVar("Number")
 
 

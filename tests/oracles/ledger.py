@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The ledger of the trials: a line for every run that was ever scored, and the table of docs/gap.md made from it."""
+"""The ledger of the trials: a line for every run that was ever scored, and the table of docs/trials.md made from it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scipy.stats import beta
 
 ROOT = Path(__file__).resolve().parents[2]
 LEDGER = ROOT / "tests" / "oracles" / "ledger.jsonl"
-PAGE = ROOT / "docs" / "gap.md"
+PAGE = ROOT / "docs" / "trials.md"
 BEGIN, END = "<!-- make gap writes this -->\n", "<!-- to here -->\n"
 Line = dict[str, Any]
 FEW = 20
@@ -309,7 +309,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def markdown(lines: Sequence[Line]) -> str:
-    """The tables of docs/gap.md."""
+    """The tables of docs/trials.md."""
     of = newest(lines)
     before = {m.name: m for m in measures(first_scores(lines))}
     figures = [
@@ -340,7 +340,7 @@ def counted(lines: Sequence[Line], cells: Iterable[str]) -> list[Line]:
 
 
 def write_page(cells: Iterable[str], path: Path | None = None) -> None:
-    """Put the tables of these cells between the markers of docs/gap.md."""
+    """Put the tables of these cells between the markers of docs/trials.md."""
     path = path or PAGE
     text = path.read_text()
     head, rest = text.split(BEGIN, 1)

@@ -2,7 +2,7 @@
 """`make gap`: hide effects in plants of MuJoCo, ask `zygos explain`, score its JSON, and keep every score in a ledger.
 
     python -m oracles.trials [WORD...] [draws=N] [from=N] [workers=N] [again]
-    python -m oracles.trials table      only writes docs/gap.md and out/gap.json from the ledger
+    python -m oracles.trials table      only writes docs/trials.md and out/gap.json from the ledger
     python -m oracles.trials limits     only writes limits.json from the nulls in the ledger
 
 Words select cells by parts of their names (`planar/null`, `pendulum/`, `without`). A run that is in the ledger for the
