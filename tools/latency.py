@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Writes the table of latencies into docs/hil.md and the picture beside it, from what `make hil` has measured.
+"""Writes the table of latencies into docs/results.md and the picture beside it, from what `make hil` has measured.
 
-python tools/latency.py out/hil.json docs/hil.md docs/latency.svg
+python tools/latency.py out/hil.json docs/results.md docs/latency.svg
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Writes the reference pages in docs/reference/: command line, keys of files, codes and configuration of the C
-library, JSON outputs, limits.
+library, its functions, the Python interface, JSON outputs, limits.
 
 Usage: reference.py [FOLDER]
 """
@@ -11,9 +11,11 @@ from pathlib import Path
 from reference_pages.codes import codes_page
 from reference_pages.commands import commands_page
 from reference_pages.config import config_page
+from reference_pages.headers import headers_page
 from reference_pages.keys import FILES, answers_page, keys_page
 from reference_pages.limits import limits_page
 from reference_pages.outputs import json_page
+from reference_pages.python import python_page
 
 from zygos.files.output import write_text
 
@@ -25,11 +27,13 @@ def pages() -> dict[str, str]:
     found = {Path(file.name).stem + ".md": keys_page(file) for file in FILES}
     others = {
         "answers.md": answers_page(),
+        "c.md": headers_page(),
         "codes.md": codes_page(),
         "commands.md": commands_page(),
         "config.md": config_page(),
         "json.md": json_page(),
         "limits.md": limits_page(),
+        "python.md": python_page(),
     }
     return found | others
 

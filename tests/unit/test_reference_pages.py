@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+import zygos
 from conftest import ROOT, tool_module
 from zygos.errors import ZygosError
 
@@ -59,6 +60,19 @@ def test_every_enumeration_of_the_headers_is_on_the_page() -> None:
     headers = "".join(path.read_text() for path in (ROOT / "include" / "zygos").rglob("*.h"))
     page = (tool.PAGES / "codes.md").read_text()
     assert set(re.findall(r"^enum (\w+) \{", headers, re.MULTILINE)) == set(re.findall(r"## `enum (\w+)`", page))
+
+
+def test_every_function_of_the_public_headers_is_on_the_page() -> None:
+    page = (tool.PAGES / "c.md").read_text()
+    for header in sorted((ROOT / "include" / "zygos").glob("*.h")):
+        declared = set(re.findall(r"^[a-z][\w *]*?\b(zygos_\w+)\([^;{]*\);", header.read_text(), re.MULTILINE))
+        assert {name for name in declared if f"`{name}()`" not in page} == set(), header.name
+
+
+def test_every_name_of_the_python_interface_is_on_the_page() -> None:
+    page = (tool.PAGES / "python.md").read_text()
+    named = set(re.findall(r"^## (?:Function|Class) `(\w+)`$", page, re.MULTILINE))
+    assert named | {"__version__"} == set(zygos.__all__)
 
 
 def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:

@@ -312,7 +312,24 @@ def explain(
     without: Sequence[str] = (),
     progress: Any = None,
 ) -> Explanation | GroundExplanation | FileExplanation:
-    """As `zygos.gap.runs.explain_runs`; a path of an MJCF or URDF is read, and the answer can write it corrected."""
+    """Say where a simulation and the measured runs of an arm disagree, and which effect the simulation lacks.
+
+    simulation: the model that the simulation uses; or a run that another simulator made from the torques of a measured
+    run, from which its model is estimated first; or the path of an MJCF or URDF, which the answer can write corrected.
+    measured: runs of one arm; what is learned from one must hold on the others. A single run is cut into thirds, of
+    which the last is kept apart. validate: runs from which nothing is learned; the gap is measured on them, before and
+    after. without: keys of effects that are not tried. progress is called with the share that is done and what is
+    being done.
+
+    `Explanation.answer` is "values differ", "named", "part named", "changed", "plain estimate", "cannot tell", "nothing
+    missing" or "unknown"; `sentence` says it in words, and `findings` has the effects with value and interval. `model`
+    is the one with what was learned, or that of `zygos estimate` where this one does not pass the checks of
+    `zygos.gap.adopted`, or None.
+
+    Errors: ZygosError for runs of different arms or that are the same recording, for a model or a file that does not
+    fit, and for an arm that floats or is flexible and whose torques are currents; Undecided where the runs do not tell
+    the parameters apart.
+    """
     if isinstance(simulation, Model | Run):
         return explain_runs(simulation, measured, validate=validate, without=without, progress=progress)
     if not measured:
