@@ -160,8 +160,8 @@ hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, 
 	    $(if $(DUT),$(DRILLS),tests/hil) --zygos-channel $(or $(CHANNEL),$(firstword $(ZYGOS_VCAN_IFS)),vcan0) \
 	    --zygos-dut $(or $(DUT),$(NODE)) --zygos-scenario build/examples/lively/scenario.toml --zygos-json $${ZYGOS_OUT:-out}/hil.json
 
-latency: $(VENV)/.test ## write the latencies of docs/hil.md and docs/latency.svg from the last `make hil`
-	$(BIN)/python tools/latency.py $${ZYGOS_OUT:-out}/hil.json docs/hil.md docs/latency.svg
+latency: $(VENV)/.test ## write the latencies of docs/results.md and docs/latency.svg from the last `make hil`
+	$(BIN)/python tools/latency.py $${ZYGOS_OUT:-out}/hil.json docs/results.md docs/latency.svg
 
 pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and Cortex-M4F: the host's bits (QEMU)
 	$(PYTEST) tests/pil
@@ -191,7 +191,7 @@ soak: build $(VENV)/.test ## 30 days of 2 joints, 3.6 hours of 7: estimates, int
 upset: build $(VENV)/.test ## flip bits in the memory of the library, count what comes of it (out/upset.json, docs/upset.md; an hour; SHARE= SEED=)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m upset $(if $(SHARE),share=$(SHARE)) $(if $(SEED),seed=$(SEED))
 
-ground: build $(VENV)/.test ## simulated laboratory arms: do the intervals hold (docs/ground.md; 40 minutes; ARMS= DRAWS=)
+ground: build $(VENV)/.test ## simulated laboratory arms: do the intervals hold (docs/laboratory.md; 40 minutes; ARMS= DRAWS=)
 	$(BIN)/python -m zygos.accuracy.ground $(ARMS) $(if $(DRAWS),--draws $(DRAWS))
 
 loop: build node $(VENV)/.test ## from the bus to the model and back, beside a node of this machine (out/loop.json, docs/loop.svg; a minute)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the refinement on board costs on a Cortex-M7: the table of docs/refine.md.
+"""What the refinement on board costs on a Cortex-M7: the table of docs/results.md.
 
     python -m bench.onboard
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How good `zygos refine` is, and what it refuses: the tables of docs/refine.md.
+"""How good `zygos refine` is, and what it refuses: the tables of docs/results.md.
 
     python -m bench.refinement [SEEDS [NAME ...]]
 

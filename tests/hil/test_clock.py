@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Real time by the clock: from SYNC to the answer of the device, alone on the bus and beside nodes that load it fully.
 
-The times depend on the machine and on who else uses it. They are reported (docs/hil.md), and only the median is
+The times depend on the machine and on who else uses it. They are reported (docs/results.md), and only the median is
 bounded, generously. That every cycle is answered, and that no frame is lost or counted twice, does not depend on it.
 """
 

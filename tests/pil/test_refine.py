@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The refinement on board on a Cortex-M7: the host's bits, and what it costs (docs/refine.md, "On board")."""
+"""The refinement on board on a Cortex-M7: the host's bits, and what it costs (docs/results.md)."""
 
 from __future__ import annotations
 

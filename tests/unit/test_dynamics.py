@@ -49,7 +49,7 @@ def test_energy_momentum_and_accelerations_equal_pinocchio(kinetic: str, joints:
 
 
 def test_accelerations_solve_the_papers_equations() -> None:
-    """docs/theory.md, "The other two methods": five equations of the two-joint arm in absolute angles."""
+    """docs/paper.md, "The three methods": five equations of the two-joint arm in absolute angles."""
     arm, model, _ = lively()
     value = {name: quantity.value for name, quantity in model.base_parameters(arm).items()}
     dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))

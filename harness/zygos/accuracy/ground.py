@@ -34,7 +34,7 @@ from zygos.report.provenance import measured_commit
 Line = dict[str, Any]
 
 FOLDER = Path("out/ground")
-PAGE = Path("docs/ground.md")
+PAGE = Path("docs/laboratory.md")
 BEGIN, END = "<!-- make ground writes this -->\n", "<!-- to here -->\n"
 _NAMES = {"ur10e": "UR10e", "panda": "Panda", "lwr4": "LWR4+"}
 _SAID = {"as declared": "as declared", "offset": "0.01 to 0.05 Nm in each", "noise": "5 % noise, not declared"}
@@ -134,7 +134,7 @@ def ground(
         Path, typer.Option(metavar="FOLDER", help="Folder of stored motions, finished draws and results.")
     ] = FOLDER,
     page: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The page with the table; default: docs/ground.md, if all run.")
+        Path | None, typer.Option(metavar="FILE", help="The page with the table; default: docs/laboratory.md, if all run.")
     ] = None,
 ) -> None:
     """Simulate laboratory arms, estimate them from their frames, and count how often the intervals hold.

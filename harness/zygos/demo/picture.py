@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The picture of the closed loop that docs/node.md shows."""
+"""The picture of the closed loop that docs/results.md shows."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ origin. A balance is
 
     columns . coefficients = right side + constant of the arc
 
-The columns are those of `zygos.balances`, without accelerations (docs/gap.md; Nanos & Papadopoulos eqs. (11), (37)). H
+The columns are those of `zygos.balances`, without accelerations (docs/gap-method.md; the paper's eqs. (11), (37)). H
 has no constant where a model assumes an angular momentum: then its value is a column of its own. An increment has no
 constant. The columns of errors of the sensors are differences of the balances of readings with and without them.
 """

@@ -50,25 +50,12 @@ def explain_runs(
     without: Sequence[str] = (),
     progress: Callable[[float, str], None] | None = None,
 ) -> Explanation | GroundExplanation:
-    """Say where a simulation and the measured runs of an arm disagree, and which effect the simulation lacks.
-
-    simulation: the model that the simulation uses, or a run that another simulator made from the torques of a measured
-    run, from which its model is estimated first. measured: runs of one arm; what is learned from one must hold on
-    the others. A single run is cut into thirds, of which the last is kept apart. validate: runs from which nothing is
-    learned; the gap is measured on them, before and after. without: keys of effects that are not tried. progress is
-    called with the share that is done and what is being done.
-
-    `Explanation.answer` is "values differ", "named", "part named", "changed", "plain estimate", "cannot tell", "nothing
-    missing" or "unknown"; `sentence` says it in words, and `findings` has the effects with value and interval. `model`
-    is the one with what was learned, or that of `zygos estimate` where this one does not pass the checks of
-    `zygos.gap.adopted`, or None.
+    """As `zygos.explain`, for a model of zygos or a run of another simulator.
 
     An arm on a fixed base with rigid joints is explained by the momentum rows of its joints and the scatter between
-    blocks and runs, every other arm by its balances beside those of a simulated twin (docs/gap.md).
+    blocks and runs, every other arm by its balances beside those of a simulated twin (docs/gap-method.md).
 
-    Errors: ZygosError for runs of different arms or that are the same recording, for a model that does not fit, and for
-    an arm that floats or is flexible and whose torques are currents, and as `model_of_simulator`; Undecided where the
-    runs do not tell the parameters apart.
+    Errors: as `zygos.explain`, and as `model_of_simulator`.
     """
     kept = (validate,) if isinstance(validate, Run) else tuple(validate or ())
     runs = [*measured, *kept]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From bodies to the constant matrix of the kinetic energy of a spatial arm (docs/theory.md, "From bodies to N").
+"""From bodies to the constant matrix of the kinetic energy of a spatial arm (docs/theory.md, "From bodies …").
 
 Every mass point of a body lies at a sum of vectors c_j, each fixed in one body j. The component of c_j along joint axis
 j is fixed in body j-1 as well, so it is added to c_j-1. For each body but the base two components remain, along the
