@@ -40,6 +40,7 @@ def judge(found: list[Solution]) -> None:
     assert usual.validity == "valid" and FULL * usual.once <= usual.pairs <= usual.once
 
 
+@pytest.mark.slow
 def test_a_refused_solution_costs_hardly_more_than_a_valid_one(tmp_path: Path) -> None:
     """With bad arcs that cannot be left out, where solutions without old arcs are tried and of no use."""
     need_tools()

@@ -95,7 +95,7 @@ def flown(program: Path, bus: Path, *words: int) -> dict[str, int]:
     return dict(zip(names, map(int, out.split()), strict=True))
 
 
-@pytest.mark.slow(but=["background-few"])
+@pytest.mark.slow
 @pytest.mark.parametrize("frames", [10_000, 1_000_000], ids=["few", "million"])
 @pytest.mark.parametrize(
     ("memory", "flags"),

@@ -57,7 +57,7 @@ def test_a_change_is_a_warning_that_names_what_and_when(
 ) -> None:
     out, numbers = tmp_path / "m.toml", tmp_path / "m.json"
     # the change alone is no reason to refuse; that the balance of such a mixture does not close is
-    assert run("estimate", folder / "changed.blf", "-o", out, "--json", numbers) == 3
+    assert run("estimate", "--energy", folder / "changed.blf", "-o", out, "--json", numbers) == 3
     said = capsys.readouterr().err
     assert "warning: the arm changed after 120 s" in said
     assert "split the log" in said and "memory_min" in said
@@ -80,7 +80,7 @@ def test_where_old_arcs_fade_the_answer_follows(
         arm.write_text((EXAMPLE / "arm.toml").read_text() + text)
         out = tmp_path / "m.toml"
         numbers = tmp_path / "m.json"
-        assert run("estimate", folder / "changed.blf", "--arm", arm, "-o", out, "--json", numbers) in (0, 3)
+        assert run("estimate", "--energy", folder / "changed.blf", "--arm", arm, "-o", out, "--json", numbers) in (0, 3)
         said = capsys.readouterr().err  # arcs of 20 s hardly tell a change from an effect that is missing
         assert "warning: the arm changed after 120 s" in said or "warning: the data after 120 s contradict" in said
         off.append(abs(json.loads(numbers.read_text())["solution"][5] / heavy_a22() - 1.0))
@@ -92,7 +92,7 @@ def test_where_old_arcs_fade_the_answer_follows(
 
 def test_no_warning_where_nothing_happens(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     numbers = tmp_path / "m.json"
-    assert run("estimate", folder / "same.blf", "-o", tmp_path / "m.toml", "--json", numbers) == 0
+    assert run("estimate", "--energy", folder / "same.blf", "-o", tmp_path / "m.toml", "--json", numbers) == 0
     said = capsys.readouterr()
     assert "changed" not in said.err
     assert said.out.startswith("valid: ")
@@ -124,6 +124,9 @@ def test_listen_says_it_too(folder: Path, tmp_path: Path, capsys: pytest.Capture
         code = run("listen", "--arm", EXAMPLE / "arm.toml", *options, "-o", tmp_path / "live.toml")
     assert code == 3
     assert "warning: the arm changed after 120 s" in capsys.readouterr().err
-    assert run("estimate", folder / "changed.blf", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 3
+    assert (
+        run("estimate", "--energy", folder / "changed.blf", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json")
+        == 3
+    )
     live, replayed = (json.loads(file.read_text()) for file in (numbers, tmp_path / "m.json"))
     assert live["drift"] == replayed["drift"]

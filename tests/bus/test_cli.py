@@ -99,12 +99,12 @@ def test_estimate_where_no_truth_exists(recording: Path, tmp_path: Path, capsys:
 def test_estimate_json_to_stdout_is_all_there_is(
     brief_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("estimate", brief_recording, "-o", tmp_path / "m.toml", "--json", "-") == 0
+    assert run("estimate", "--energy", brief_recording, "-o", tmp_path / "m.toml", "--json", "-") == 0
     assert json.loads(capsys.readouterr().out)["arm"] == "lively"
 
 
 def test_the_estimate_can_be_simulated(brief_recording: Path, tmp_path: Path) -> None:
-    assert run("estimate", brief_recording, "-o", tmp_path / "m.toml") == 0
+    assert run("estimate", "--energy", brief_recording, "-o", tmp_path / "m.toml") == 0
     scenario = lasting(tmp_path / "example", 1.0)
     assert run("simulate", scenario, "--model", tmp_path / "m.toml", "-o", tmp_path / "again.log") == 0
 
@@ -165,14 +165,14 @@ def test_an_arm_file_that_does_not_vouch_for_a_zero_gets_an_offset(recording: Pa
     out, log = tmp_path / "m.toml", recording
     arm.write_text(f"{before}zero_rad = 0.02, zero_sigma_rad = 0.02{after}")
     assert run("self-test", log, "--arm", arm) == 0
-    run("estimate", log, "--arm", arm, "-o", out)
+    run("estimate", "--energy", log, "--arm", arm, "-o", out)
     (found,) = load_model(out).effects
     assert (found.kind.key, found.joint, found.source) == ("spring_offset", "elbow", "zygos")
     # q reads too little, theta - q too much
     assert found.value == pytest.approx(-20.0, rel=0.1)
     # a prior that names it is not asked twice
     again = tmp_path / "again.toml"
-    run("estimate", log, "--arm", arm, "--model", out, "-o", again)
+    run("estimate", "--energy", log, "--arm", arm, "--model", out, "-o", again)
     assert load_model(again) == load_model(out)
 
 
@@ -225,7 +225,7 @@ def test_a_rigid_prior_is_kept_where_the_run_is_silent(tmp_path: Path) -> None:
         np.testing.assert_allclose(model.base_values(arm)[:10], plant.base_values(arm)[:10], rtol=close)
     # a rigid prior for an arm that is not rigid is corrected
     assert run("simulate", EXAMPLE / "scenario.toml", "-o", tmp_path / "soft.blf") == 0
-    assert run("estimate", tmp_path / "soft.blf", "-o", out, "--model", rigid) == 0
+    assert run("estimate", "--energy", tmp_path / "soft.blf", "-o", out, "--model", rigid) == 0
     assert load_model(out).parameters["k2"].value == pytest.approx(1000.0, rel=0.05)
 
 
@@ -335,7 +335,7 @@ def test_listen_estimates_the_effects_of_a_model(
     with playing("test_effects", brief_recording, 0.05):
         options = ("--idle", 1, "--model", prior, "--details", "--json", tmp_path / "live.json")
         listen("test_effects", tmp_path, *options)
-    given = ("--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json", "--details")
+    given = ("--energy", "--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json", "--details")
     run("estimate", brief_recording, *given)
     for name in ("live.json", "o.json"):
         answers.append(json.loads((tmp_path / name).read_text()))
@@ -348,13 +348,13 @@ def test_listen_estimates_the_effects_of_a_model(
     assert load_model(tmp_path / "live.toml").effects == load_model(tmp_path / "o.toml").effects
     said = capsys.readouterr().out
     assert said.count("significance") == 2
-    assert run("estimate", brief_recording, "-o", tmp_path / "o.toml", "--details") == 0
+    assert run("estimate", "--energy", brief_recording, "-o", tmp_path / "o.toml", "--details") == 0
     assert "significance" not in capsys.readouterr().out
 
 
 def test_paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("zygos.paper.tables.simulate", trajectory_of)
-    assert run("paper", "--seeds", 2, "--example", EXAMPLE, "--json", tmp_path / "paper.json") == 0
+    assert run("paper", "--seeds", 1, "--example", EXAMPLE, "--json", tmp_path / "paper.json") == 0
     said = capsys.readouterr().out
     assert "Table III" in said
     assert "Table IV" in said
@@ -457,7 +457,7 @@ def test_no_output_replaces_an_input_or_another_output(
 def test_a_model_is_called_toml_and_its_folder_is_made(brief_recording: Path, tmp_path: Path) -> None:
     assert run("estimate", brief_recording, "-o", tmp_path / "m.json") == 2
     assert list(tmp_path.iterdir()) == []
-    assert run("estimate", brief_recording, "-o", tmp_path / "new" / "m.toml") == 0
+    assert run("estimate", "--energy", brief_recording, "-o", tmp_path / "new" / "m.toml") == 0
     assert (tmp_path / "new" / "m.toml").is_file()
 
 
@@ -484,7 +484,7 @@ def test_a_file_that_cannot_be_written_is_named(
 
     monkeypatch.setattr("os.replace", full)
     out = tmp_path / "m.toml"
-    assert run("estimate", brief_recording, "-o", out, "--json", "-") == 2
+    assert run("estimate", "--energy", brief_recording, "-o", out, "--json", "-") == 2
     said = capsys.readouterr()
     assert json.loads(said.out)["validity"] == "valid"
     assert f"{out}: cannot be written (No space left" in said.err
@@ -516,7 +516,9 @@ def test_what_estimate_says(brief_recording: Path, tmp_path: Path, capsys: pytes
     assert "1 cycle dropped, 1 frame rejected" in said
     assert "arcs: 2, 0 dropped" in said
     assert len(said.splitlines()) <= 10 and said.startswith("valid: ")
-    assert run("estimate", damaged, "--arm", EXAMPLE / "arm.toml", "-o", tmp_path / "m.toml", "--details") == 0
+    assert (
+        run("estimate", "--energy", damaged, "--arm", EXAMPLE / "arm.toml", "-o", tmp_path / "m.toml", "--details") == 0
+    )
     assert "stiffness, elbow" in capsys.readouterr().out
     content = json.loads(numbers.read_text())
     covariance = np.array(content["covariance"])

@@ -198,9 +198,19 @@ def test_a_run_comes_on_standard_input(
     else:
         bus.write_log(file, frames, arm.period_s)
     monkeypatch.chdir(brief_recording.parent)
-    run("estimate", file, "--arm", "arm.toml", "-o", tmp_path / "named.toml", "--json", tmp_path / "named.json")
+    run(
+        "estimate",
+        "--energy",
+        file,
+        "--arm",
+        "arm.toml",
+        "-o",
+        tmp_path / "named.toml",
+        "--json",
+        tmp_path / "named.json",
+    )
     stdin(file.read_bytes())
-    run("estimate", "-", "-o", tmp_path / "piped.toml", "--json", tmp_path / "piped.json")
+    run("estimate", "--energy", "-", "-o", tmp_path / "piped.toml", "--json", tmp_path / "piped.json")
     assert (tmp_path / "piped.toml").read_bytes() == (tmp_path / "named.toml").read_bytes()
     named, piped = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("named", "piped"))
     assert piped == {**named, "run": "-"}
@@ -275,7 +285,7 @@ def test_only_one_file_goes_to_standard_output(brief_recording: Path, capsys: py
     ("arguments", "option", "suffix"),
     [
         (("estimate", "{run}"), "-o", ".toml"),
-        (("estimate", "{run}", "-o", "{out}/x.toml"), "--json", ".json"),
+        (("estimate", "--energy", "{run}", "-o", "{out}/x.toml"), "--json", ".json"),
         (("dbc", "--arm", EXAMPLE / "arm.toml"), "-o", ".dbc"),
         (("import", ROOT / "examples" / "urdf" / "arm.urdf"), "--template", ".toml"),
         (("view", "{run}", "--model", EXAMPLE / "model.toml", "--at", "1"), "--png", ".png"),
@@ -299,11 +309,11 @@ def test_a_pipe_from_the_plant_to_the_estimate(brief_scenario: Path, tmp_path: P
     command = [*zygos, "simulate", str(brief_scenario), "-o", "-"]
     log = subprocess.run(command, cwd=tmp_path, capture_output=True, check=True).stdout
     assert re.match(rb"\(\d+\.\d+\) can0 080#[0-9A-F]{2}", log)
-    command = [*zygos, "estimate", "-", "--arm", arm, "-o", "-"]
+    command = [*zygos, "estimate", "--energy", "-", "--arm", arm, "-o", "-"]
     done = subprocess.run(command, cwd=tmp_path, input=log, capture_output=True, check=True)
     recording = brief_scenario.with_name("run.blf")
     assert run("simulate", brief_scenario, "-o", recording) == 0
-    assert run("estimate", recording, "-o", tmp_path / "m.toml") == 0
+    assert run("estimate", "--energy", recording, "-o", tmp_path / "m.toml") == 0
     assert done.stdout == (tmp_path / "m.toml").read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["m.toml"]
 
@@ -312,8 +322,8 @@ OUTPUTS: list[tuple[tuple[object, ...], str, str]] = [
     (("simulate", EXAMPLE / "scenario.toml"), "-o", ".blf"),
     (("simulate", EXAMPLE / "scenario.toml", "-o", "{out}/x.blf"), "--json", ".json"),
     (("estimate", "{run}"), "-o", ".toml"),
-    (("estimate", "{run}", "-o", "{out}/x.toml"), "--json", ".json"),
-    (("estimate", "{run}", "-o", "{out}/x.toml"), "--report", ".html"),
+    (("estimate", "--energy", "{run}", "-o", "{out}/x.toml"), "--json", ".json"),
+    (("estimate", "--energy", "{run}", "-o", "{out}/x.toml"), "--report", ".html"),
     (("self-test", "{run}"), "--json", ".json"),
     (("self-test", "{run}"), "--report", ".html"),
     (("check-arm", "{run}", "--arm", EXAMPLE / "arm.toml"), "--report", ".html"),

@@ -223,7 +223,7 @@ def test_a_log_without_a_counter(
         error = got.q[inner, i] - true_angle(at[inner])[:, i]
         assert 0.3 < np.sqrt(np.mean(error**2)) / joint.link_encoder.sigma_rad < 1.1
     # stamps that lie so far leave little of the bodies; what is said of them holds, and says so
-    assert run("estimate", out / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    assert run("estimate", "--energy", out / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     content = json.loads((tmp_path / "m.json").read_text())
     assert content["noise_ratio"] > 1.5
     value, half = (np.array([one[key] for one in content["parameters"]]) for key in ("value", "half95"))
@@ -232,7 +232,9 @@ def test_a_log_without_a_counter(
 
     steady, better = jittered(twice, tmp_path, share=0.05), tmp_path / "better"
     assert convert(steady, better / "run.npz", map_file=map_file) == 0
-    assert run("estimate", better / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    assert (
+        run("estimate", "--energy", better / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    )
     content = json.loads((tmp_path / "m.json").read_text())
     assert content["validity"] == "valid"
     values = np.array([parameter["value"] for parameter in content["parameters"]])
@@ -383,7 +385,7 @@ def test_a_foreign_table_and_the_cycle_door(
     out = tmp_path / "out" / f"run{suffix}"
     assert convert(tmp_path / f"my{suffix}", out, map_file=map_file) == 0
     assert "output: table of cycles" in capsys.readouterr().out
-    assert run("estimate", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    assert run("estimate", "--energy", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     assert "input: table of cycles" in capsys.readouterr().out
     content = json.loads((tmp_path / "m.json").read_text())
     assert content["door"] == "cycle"
@@ -625,7 +627,7 @@ def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
     scenario = load_scenario(PAPER / "scenario.toml")
     options = ("--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml")
     assert run("convert", FOLDER / "run.blf", *options, "-o", tmp_path / "run.blf") == 0
-    assert run("estimate", tmp_path / "run.blf", "-o", tmp_path / "model.toml") == 0
+    assert run("estimate", "--energy", tmp_path / "run.blf", "-o", tmp_path / "model.toml") == 0
     assert run("convert", FOLDER / "run.blf", *options, "-o", tmp_path / "run.npz") == 0
     told = trajectory_of(arm, model, scenario, seeds=[7], noise=True, duration_s=10.0).cycles()
     got = read_cycles(tmp_path / "run.npz", arm)

@@ -208,7 +208,7 @@ def test_what_survives_is_answered_from(
     for run_file, code in ((path, 4), (sound, 0)):
         numbers = tmp_path / "m.json"
         capsys.readouterr()
-        assert run("estimate", run_file, "--arm", ARM, "-o", tmp_path / "m.toml", "--json", numbers) == code
+        assert run("estimate", "--energy", run_file, "--arm", ARM, "-o", tmp_path / "m.toml", "--json", numbers) == code
         answers.append(json.loads(numbers.read_text()))
         error = capsys.readouterr().err
         assert (f"warning: {path} " in error) == (code == 4)
@@ -287,7 +287,7 @@ def test_an_mf4_is_read_up_to_the_damaged_block(arm: Arm, frames: Frames, tmp_pa
     assert log.frames.tobytes() == many[: len(log.frames)].tobytes()
     (text,) = log.damage
     assert f"{path} cannot be read beyond frame {len(log.frames):,}" in text
-    assert run("estimate", path, "--arm", ARM, "-o", tmp_path / "m.toml") in {3, 4}
+    assert run("estimate", "--energy", path, "--arm", ARM, "-o", tmp_path / "m.toml") in {3, 4}
 
 
 @pytest.mark.slow
@@ -385,7 +385,7 @@ def test_a_table_of_cycles_with_a_row_that_is_not_whole(tmp_path: Path, capsys: 
     for name, rows, code in (("short", short, 4), ("without", lines[:700] + lines[701:], 0)):
         table, numbers = whole.with_name(f"{name}.csv"), tmp_path / f"{name}.json"
         table.write_text("".join(rows))
-        assert run("estimate", table, "-o", tmp_path / f"{name}.toml", "--json", numbers) == code
+        assert run("estimate", "--energy", table, "-o", tmp_path / f"{name}.toml", "--json", numbers) == code
         content = json.loads(numbers.read_text())
         values.append(content["parameters"])
         said = f"{table} has 7 of 11 columns in line 701, which is left out"

@@ -124,6 +124,7 @@ def test_names_what_the_simulation_lacks(named: Answer) -> None:
     assert (learned.kind.key, learned.joint, learned.value) == ("motor_coulomb", "shoulder", found["value"])
 
 
+@pytest.mark.slow
 def test_estimate_learns_the_effect_that_explain_wrote(folder: Path, named: Answer, tmp_path: Path) -> None:
     learned = tmp_path / "learned.toml"
     assert run("estimate", folder / "f2.blf", "--model", named.out / "new.toml", "-o", learned) == 0

@@ -191,7 +191,17 @@ def test_all_of_our_identifiers_at_once(arm: Arm, ours: Log, strangers: Log, see
 
 def estimated(path: Path, folder: Path) -> dict[str, Any]:
     """What `zygos estimate` says of a log of the example's arm, but for the log's name."""
-    arguments = ["estimate", path, "--arm", EXAMPLE / "arm.toml", "-o", folder / "m.toml", "--json", folder / "m.json"]
+    arguments = [
+        "estimate",
+        "--energy",
+        path,
+        "--arm",
+        EXAMPLE / "arm.toml",
+        "-o",
+        folder / "m.toml",
+        "--json",
+        folder / "m.json",
+    ]
     assert zygos(*arguments) == 0
     answer: dict[str, Any] = json.loads((folder / "m.json").read_text())
     assert answer.pop("run") == str(path)

@@ -106,6 +106,7 @@ def test_arm_files_that_contradict_each_other_are_refused(
     assert "--arm" in error
 
 
+@pytest.mark.slow
 def test_each_run_has_the_noise_that_is_declared_beside_it(folder: Path, tmp_path: Path) -> None:
     """With --arm, one file is that of all runs."""
     arm, _ = short_arm(2)

@@ -40,7 +40,7 @@ def folder(brief_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     shutil.copytree(EXAMPLE, folder / "brief")
     scenario = SCENARIO.read_text().replace("duration_s = 60.0", "duration_s = 10.0")
     (folder / "brief" / SCENARIO.name).write_text(scenario)
-    assert run("estimate", folder / "run.blf", "-o", folder / "m.toml", "--json", folder / "m.json") == 0
+    assert run("estimate", "--energy", folder / "run.blf", "-o", folder / "m.toml", "--json", folder / "m.json") == 0
     assert run("import", URDF / "arm.urdf", "--answers", URDF / "answers.toml", "-o", folder / "urdf") == 0
     return folder
 

@@ -62,7 +62,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return compiled(tmp_path_factory.mktemp("onboard"), example / "arm.toml"), encode(arm, run_of.cycles(0))
 
 
-@pytest.mark.parametrize("case", ["lively", "spatial"], indirect=True)
+@pytest.mark.parametrize("case", ["spatial"], indirect=True)
 def test_the_same_frames_give_the_same_bits(
     case: tuple[Path, Log], node: Path, emulator: list[str], tmp_path: Path
 ) -> None:

@@ -21,6 +21,7 @@ from zygos.estimation.estimate import estimate
 from zygos.gap.predict import predict
 from zygos.ground.estimate import estimate_ground
 from zygos.model.model import load_model, save_model
+from zygos.refinement.refine import refine_runs
 from zygos.simulation.scenario import load_scenario
 
 
@@ -70,7 +71,8 @@ def answered(command: str, file: Path, capsys: pytest.CaptureFixture[str], *more
 
 
 def as_number(text: str) -> float:
-    return float(text.replace(",", "").replace("−", "-"))
+    plain = text.translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−", "0123456789--"))
+    return float(plain.replace(",", "").replace("·10", "e"))
 
 
 @pytest.mark.slow(but=["paper"])
@@ -92,6 +94,26 @@ def test_an_estimate_has_one_value_and_one_interval(
         assert as_number(row[2]) == pytest.approx(one["value"], abs=0.06 * one["half95"])
         assert as_number(row[3]) == pytest.approx(one["half95"], rel=0.06)
         line = next(line for line in said.splitlines() if line.startswith(f"{one['name']} "))
+        assert [cell for cell in row if cell] == re.split(r"  +", line.strip())
+
+
+@pytest.mark.slow
+def test_a_refined_estimate_has_one_value_and_one_interval(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The published values: those of the refinement, in the model file, the JSON, the page and the console."""
+    file = flown("paper", tmp_path)
+    said, content, page = answered("estimate", file, capsys, "-o", tmp_path / "m.toml")
+    found = refine_runs(load_run(file, tmp_path / "arm.toml"))
+    assert found.published and content["refinement"]["published"]
+    values = {one.name: (one.value, one.sigma) for one in found.values()}
+    written = load_model(tmp_path / "m.toml").parameters
+    for one, row in zip(content["values"], rows_of(page, "published"), strict=True):
+        value, sigma = values[one["name"]]
+        assert (one["source"], one["value"]) == ("refined", pytest.approx(value, abs=1e-3 * sigma))
+        assert one["half95"] == pytest.approx(1.96 * sigma, rel=1e-3)
+        assert written[one["name"]].value == pytest.approx(one["value"], rel=1e-12)
+        assert as_number(row[1]) == pytest.approx(one["value"], abs=0.06 * one["half95"])
+        assert as_number(row[2]) == pytest.approx(one["half95"], rel=0.06)
+        line = next(line for line in said.splitlines() if line.startswith(f"{one['name']} ") and "refined" in line)
         assert [cell for cell in row if cell] == re.split(r"  +", line.strip())
 
 

@@ -35,6 +35,7 @@ def plan(folder: Path, *more: object) -> int:
     return run("plan", "--arm", folder / "arm.toml", "--model", folder / "model.toml", "--torque-noise", "0.05", *more)
 
 
+@pytest.mark.slow
 def test_a_planned_scenario_is_simulated_and_ranked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = json.loads((folder / "plan.json").read_text())
     arm = load_arm(folder / "arm.toml")

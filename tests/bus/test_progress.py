@@ -108,5 +108,5 @@ def test_other_commands_too(
     impatient: None, recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Whatever draws a bar on a terminal; here an estimate, which reads and then works."""
-    assert run("estimate", recording, "-o", tmp_path / "model.toml") == 0
+    assert run("estimate", "--energy", recording, "-o", tmp_path / "model.toml") == 0
     assert re.search(r"^reading run\.blf.* · 0:00:0\d elapsed$", capfd.readouterr().err, re.M)

@@ -198,7 +198,7 @@ def test_two_interfaces_on_the_command_line(
     for name, interfaces in (("one", [(0, True)]), ("two", [(0, True), (1, True)])):
         recorded(tmp_path / f"{name}.log", brief, arm.period_s, lambda k, _, chosen=interfaces: chosen)
         model = tmp_path / f"{name}.toml"
-        assert run("estimate", tmp_path / f"{name}.log", "--arm", ARM, "-o", model) == 0
+        assert run("estimate", "--energy", tmp_path / f"{name}.log", "--arm", ARM, "-o", model) == 0
         out.append(model.read_text())
         assert ("several interfaces recorded (can0 (Rx), can1 (Rx))" in capsys.readouterr().err) == (name == "two")
     assert out[0] == out[1]
@@ -288,7 +288,7 @@ def test_every_command_that_reads_a_recording(
     telemetry, out = ROOT / "examples" / "telemetry", tmp_path / "out"
     model = EXAMPLE / "model.toml"
     commands: list[tuple[object, ...]] = [
-        ("estimate", brief_recording, "-o", out / "m.toml"),
+        ("estimate", "--energy", brief_recording, "-o", out / "m.toml"),
         ("self-test", brief_recording),
         ("check-arm", brief_recording, "--arm", ARM),
         ("refine", brief_recording, "-o", out / "r.toml"),
@@ -356,5 +356,5 @@ def test_a_case_of_relative_stamps(tmp_path: Path) -> None:
     described = ("--dbc", case("arm.dbc"), "--map", case("recv.toml"), "--arm", case("telemetry_arm.toml"))
     assert run("convert", log, *described, "-o", out) == 0
     assert len(load_run(out)) >= 1190
-    assert run("estimate", out, "-o", tmp_path / "m.toml") == 0
+    assert run("estimate", "--energy", out, "-o", tmp_path / "m.toml") == 0
     assert load_arm(out.with_name("arm.toml")).period_s == 0.05

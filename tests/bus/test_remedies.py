@@ -243,7 +243,7 @@ def named(found: Audit) -> list[str]:
     return [f"{one.signal} {one.fault}" for one in found.findings]
 
 
-@pytest.mark.slow(but=["delay late by0", "torque_law *"])
+@pytest.mark.slow(but=["torque_law *"])
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.remedy} {case.finding}" for case in CASES])
 def test_the_keys_remove_the_finding(
     case: Case, noisy: Trajectory, arm: Arm, tmp_path: Path, called: set[str], capsys: pytest.CaptureFixture[str]
@@ -266,6 +266,7 @@ def test_the_keys_remove_the_finding(
     assert after.ok
 
 
+@pytest.mark.slow
 def test_the_period_and_the_nodes_on_the_bus(noisy: Trajectory, arm: Arm, tmp_path: Path, called: set[str]) -> None:
     frames = encode(arm, noisy.cycles(0))
     first, second = arm.joints
@@ -318,6 +319,7 @@ def test_a_latch_that_no_cycle_has_room_for_is_a_delay_of_the_other_encoder(arm:
     assert (setting.file, setting.key, setting.value) == ("arm", "latch_us", 20_000)
 
 
+@pytest.mark.slow
 def test_a_smoother(tmp_path: Path, called: set[str]) -> None:
     (case,) = chosen(all_cases(ROOT / "examples"), ["fixed"])
     arm = replace(exact_torques(case.arm), smoother=Smoother(21, 4, 10))
@@ -466,7 +468,7 @@ def test_torques_that_a_recording_has_20_ms_late(tmp_path: Path, capsys: pytest.
             assert setting.value == pytest.approx(0.020, abs=2e-4)
             carry_out(checked_run.findings[0].settings, tomlkit.document(), mapping)
     assert checked_run.findings == () and run("check-arm", out) == 0
-    assert run("estimate", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    assert run("estimate", "--energy", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     values = {one["name"]: one["value"] for one in json.loads((tmp_path / "m.json").read_text())["parameters"]}
     assert values["Ixx1"] == pytest.approx(0.85, rel=3e-4)
     assert values["motor_viscous1"] == pytest.approx(0.008, rel=5e-3)

@@ -57,7 +57,7 @@ def test_a_csv_becomes_a_csv_and_an_estimate(tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(f'[time]\nsource = "sync"\ncolumn = "sync"\n{joints}[gyro]\n{gyro}')
     assert run("convert", first, "--map", tmp_path / "map.toml", *options[2:], "-o", second) == 0
     assert second.read_text() == first.read_text()
-    assert run("estimate", second, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    assert run("estimate", "--energy", second, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     assert json.loads((tmp_path / "m.json").read_text())["validity"] == "valid"
 
 

@@ -506,6 +506,7 @@ def test_refinement_is_asked_of_the_first_seeds_of_planar_arms() -> None:
     assert [seed for seed in range(20) if one.takes(seed, 0)] == list(range(10)) and not one.takes(0, 1)
 
 
+@pytest.mark.slow
 def test_what_refinement_does_not_publish_is_refused() -> None:
     """Torques that are noisier than declared: the rule is named, and nothing is counted."""
     case = CASES["torque-1"]

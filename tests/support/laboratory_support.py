@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, TorqueLaw, save_arm
+from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, TorqueLaw
 from zygos.effects import Effect, effect
-from zygos.model.model import Body, JointModel, Model, Quantity, save_model
+from zygos.model.model import Body, JointModel, Model, Quantity
 
 HALF = 1.57079632679
 Vector = tuple[float, float, float]
@@ -120,11 +118,3 @@ def laboratory_arm(
         gravity=(0.0, 0.0, -9.81),
     )
     return arm, Model(name, tuple(bodies), tuple(drives), effects=tuple(effects))
-
-
-def write_laboratory(folder: Path, name: str, **options: object) -> tuple[Path, Path]:
-    """Write arm.toml and model.toml of `laboratory_arm` into a folder; their paths."""
-    arm, model = laboratory_arm(name, **options)  # type: ignore[arg-type]
-    save_arm(arm, folder / "arm.toml")
-    save_model(model, folder / "model.toml")
-    return folder / "arm.toml", folder / "model.toml"

@@ -291,6 +291,7 @@ def test_blocks_are_the_groups_that_have_rows() -> None:
     assert 0 < told[0][0] < told[0][2]
 
 
+@pytest.mark.slow
 def test_forgetting_fades_the_groups() -> None:
     """The same record twice: with a memory the second half counts more."""
     known = random_ground(3, "spatial", 6000)

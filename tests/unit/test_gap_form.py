@@ -48,7 +48,7 @@ def sized(law: str) -> tuple[Study, float]:
     return study, projected(LAWS[law], motions, 0)
 
 
-@pytest.mark.slow(but=["slow-*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "least", "most"), [("column", 0.0, 0.01), ("slow", 0.02, 0.2)])
 def test_the_size_that_a_form_leaves_open(law: str, least: float, most: float) -> None:
     study, of_torque = sized(law)

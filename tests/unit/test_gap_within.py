@@ -39,7 +39,7 @@ def flown(instant: float) -> tuple[MeasuredRun, ...]:
     return records(Plant(TRIAL, MODEL, payload=Payload(MASS, instant, (REACH, 0.0, 0.0))), SECONDS)
 
 
-@pytest.mark.slow(but=["early"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("simulation", "instant", "when"),
     [

@@ -375,6 +375,7 @@ def test_refusals() -> None:
         score(first, model, cutoff=1e4)
 
 
+@pytest.mark.slow
 def test_a_floating_arm_with_springs_is_scored_by_increments() -> None:
     """Friction that the model lacks is the torque that is left at its joint, and a wrong spring is left at the spring
     alone: the sum of the balances of rotor and link is free of it."""
@@ -452,9 +453,8 @@ def test_a_joint_that_noise_dominates_does_not_decide_an_estimate() -> None:
     assert [one["evaluated"] for one in found.as_dict()["joints"]] == [True, False]
 
 
-@pytest.mark.slow(but=["UR10e-Nm"])
-@pytest.mark.parametrize("name", ["UR10e", "Panda"])
-@pytest.mark.parametrize("unit", ["A", "Nm"])
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "unit"), [("UR10e", "Nm"), ("Panda", "A")])
 def test_gains_of_torque_sensors_do_not_multiply_what_is_not_explained_by_zero(name: str, unit: str) -> None:
     """Drives whose friction grows with the load, which the model lacks: where nothing holds the gains, and a joint is
     weighted by what its multiplied equation leaves, they become -1."""

@@ -123,7 +123,7 @@ CASES = (
 # ---------------------------------------------------------------- one bad arc
 
 
-@pytest.mark.slow(but=["link encoder"])
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_one_bad_arc_is_left_out_and_the_rest_is_as_without_it(case: Case, motion: Trajectory) -> None:
     arm, spoilt, clean, bad = motion.arm, [], [], []

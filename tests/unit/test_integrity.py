@@ -127,6 +127,7 @@ def test_a_sum_that_is_not_a_number_is_refused(flight: Flight, value: float) -> 
         assert found.reason == CORRUPT or harmless(found, before), place
 
 
+@pytest.mark.slow(but=["-1.0-flight"])
 @pytest.mark.parametrize("name", ["flight", "ground"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, 1e300])
 def test_an_impossible_number_beside_sums_is_refused(value: float, name: str, request: pytest.FixtureRequest) -> None:

@@ -82,6 +82,7 @@ def test_momentum_collapses_under_noise(arm: Arm, motion: Motion) -> None:
         amc.estimate(arm, motion.record(), momentum_nms=0.0)
 
 
+@pytest.mark.slow
 def test_differential_equations_without_noise_and_with(fine: tuple[Arm, Motion]) -> None:
     """Fine samples give the parameters to a few percent; noise attenuates them by most of their size."""
     arm, motion = fine

@@ -416,7 +416,8 @@ def test_the_examples_of_the_page_run(
     assert "named - The simulation lacks Coulomb friction at the motor (elbow)" in said
     assert "nowhere.toml: no such file; remedy: check the path" in said
     assert {path.name for path in tmp_path.iterdir()} == {
-        "my-arm", "slower.toml", "stiffer.toml", "learned.toml", "refined.toml", "gap.html", "00", "01", "02", "03",
+        "my-arm", "slower.toml", "stiffer.toml", "learned.toml", "refined.toml", "gap.html", "found.png", "00", "01",
+        "02", "03",
     }  # fmt: skip
 
 

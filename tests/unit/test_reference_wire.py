@@ -15,9 +15,6 @@ from zygos.arm import Arm
 from zygos.can.wire import ERROR, EXTENDED, FD, REMOTE, Frame, data_ids, database, identifiers
 from zygos.reference.wire import receive_log
 
-PER_CYCLE = 7
-"""Frames of a cycle: SYNC, four of the joints, two of the gyro; every 50th cycle has an FTIME behind the SYNC."""
-
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Arm:

@@ -166,6 +166,7 @@ def test_the_torque_law_says_when_a_torque_acted_and_a_stated_momentum_says_noth
     assert not wrong.published
 
 
+@pytest.mark.slow
 def test_friction_zeros_and_a_level_below_the_declared_one_are_found() -> None:
     """The friction of the model, the zeros that the arm file calls uncertain, and the noise of the torques."""
     case = replace(SHORT, noise=0.001, declared=0.02, effects=(("motor_coulomb", 0.3),), duration_s=18.0)
@@ -410,6 +411,7 @@ def test_a_refusal_writes_no_model() -> None:
     assert "Nothing is published" in answer.page
 
 
+@pytest.mark.slow
 def test_of_runs_that_are_too_long_for_the_memory_the_beginning_is_refined(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
