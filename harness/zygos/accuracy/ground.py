@@ -134,7 +134,7 @@ def ground(
         Path, typer.Option(metavar="FOLDER", help="Folder of stored motions, finished draws and results.")
     ] = FOLDER,
     page: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The page with the table; default: docs/laboratory.md, if all run.")
+        Path | None, typer.Option(metavar="FILE", help="The page of the table; default: docs/laboratory.md if all run")
     ] = None,
 ) -> None:
     """Simulate laboratory arms, estimate them from their frames, and count how often the intervals hold.
