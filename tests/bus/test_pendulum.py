@@ -109,9 +109,7 @@ def test_a_window_that_is_too_long_on_board_is_used_on_the_ground(
         assert convert("00", folder / out, "--arm", tmp_path / "fast.toml", "--json", tmp_path / "c.json") == 0
         warnings = json.loads((tmp_path / "c.json").read_text())["warnings"]
         assert any("63 points" in line and "a period_s of at least 0.00809" in line for line in warnings)
-        assert (
-            run("estimate", "--energy", folder / out, "-o", tmp_path / "m.toml") == 0
-        )  # partial: one run is not enough
+        assert run("estimate", folder / out, "-o", tmp_path / "m.toml") == 0  # partial: one run is not enough
         capsys.readouterr()
         assert run("estimate", "--flight", folder / out, "-o", tmp_path / "f.toml") == 2
         assert "a period_s of at least 0.00809" in capsys.readouterr().err
