@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A UR10e and a Panda in MuJoCo with hidden friction and rotors: the file that lacks them is corrected.
+"""Arms in MuJoCo with hidden friction and rotors: the file that lacks them is corrected.
 
 Joint frames and inertials are those of MuJoCo Menagerie (google-deepmind/mujoco_menagerie): universal_robots_ur10e at
 5f4c663 (BSD-3-Clause, ROS Industrial Consortium), and franka_emika_panda at 1b428b0 without its hand (Apache-2.0,
@@ -9,6 +9,7 @@ Franka Emika). Rotors, friction and motions are made up here.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,11 @@ import mujoco
 import numpy as np
 import pytest
 from cli_support import run
+from gap_support import example
+from spring_support import FREE_FLYER
 
+from zygos.arm import Arm, save_arm
+from zygos.can.run import Run, make_run, save_run
 from zygos.files.tables import write_columns
 
 HALF = 1.570796326794897
@@ -133,3 +138,61 @@ def test_friction_and_rotors_of_a_whole_arm(tmp_path: Path, name: str, capsys: p
     (of_run,) = json.loads((tmp_path / "new.json").read_text())["simulator"]["runs"]
     assert of_run["corrected"]["energy"] < 0.05 * of_run["as_delivered"]["energy"]
     assert of_run["corrected"]["forward"] < 0.05
+
+
+def free_flight(tree: mujoco.MjModel, arm: Arm, seed: int, seconds: float) -> Run:
+    """A run of FREE_FLYER whose servo follows sums of sines with its motors, at rest as a whole."""
+    data, draw, h = mujoco.MjData(tree), np.random.default_rng(seed), arm.period_s
+    link, motor = (
+        np.array([tree.joint(f"{name}{end}").qposadr[0] for name in ("shoulder", "elbow")]) for end in ("", "_motor")
+    )
+    size, rate = draw.uniform([[0.05]], [[0.12]], (3, 2)), draw.uniform(0.8, 2.8, (3, 2))
+    phase, middle, n = draw.uniform(0.0, 6.3, (3, 2)), np.array([-0.3, -1.4]), arm.gear_ratios
+    per, count = round(h / tree.opt.timestep), round(seconds / h)
+
+    def wanted(t: float) -> tuple[np.ndarray, np.ndarray]:
+        angle = rate * t + phase
+        return middle + (size * np.sin(angle)).sum(axis=0), (size * rate * np.cos(angle)).sum(axis=0)
+
+    data.qpos[link], data.qpos[motor] = wanted(0.0)[0], n * wanted(0.0)[0]
+    q, theta, tau, omega = (np.empty((count, k)) for k in (2, 2, 2, 3))
+    step = 2.0 * np.pi / 2**20
+    for k in range(count):
+        q[k], theta[k], omega[k] = data.qpos[link], data.qpos[motor] / n, data.qvel[3:6]
+        goal, speed = wanted(k * h)
+        tau[k] = (4000.0 * (goal - theta[k]) + 3000.0 * (speed - data.qvel[motor - 1] / n)) / n
+        data.qfrc_applied[motor - 1] = tau[k]
+        mujoco.mj_step(tree, data, per)
+    omega += 1e-5 * draw.normal(size=omega.shape)
+    return make_run(arm, q=step * np.round(q / step), theta=step * np.round(theta / step), tau=tau, omega=omega)
+
+
+@pytest.mark.slow
+def test_an_arm_that_floats_on_springs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The arm of examples/gap in MuJoCo with friction at a motor, of which its file says nothing."""
+    arm, cad, out = replace(example()[0], period_s=0.01), tmp_path / "cad.xml", tmp_path / "new.xml"
+    cad.write_text(FREE_FLYER)
+    save_arm(arm, tmp_path / "arm.toml")
+    plant = FREE_FLYER.replace('"elbow_motor" class="rotor"', '"elbow_motor" class="rotor" frictionloss="3"')
+    plant = plant.replace('timestep="0.001" integrator="implicitfast"', 'timestep="0.0005" integrator="RK4"')
+    tree = mujoco.MjModel.from_xml_string(plant)
+    for seed in range(3):
+        save_run(free_flight(tree, arm, seed, 24.0), tmp_path / f"{seed}.blf")
+    code = run(
+        "explain", tmp_path / "0.blf", tmp_path / "1.blf", "--simulation", cad, "--validate", tmp_path / "2.blf",
+        "-o", out, "--json", tmp_path / "new.json", "--report", tmp_path / "new.html",
+    )  # fmt: skip
+    said = capsys.readouterr()
+    assert code == 0, said.out + said.err
+    assert "named: The simulation lacks Coulomb friction at the motor (elbow)" in said.out
+    assert "in MuJoCo, work predicted wrongly" in said.out and "In MuJoCo" in (tmp_path / "new.html").read_text()
+    (of_run,) = json.loads((tmp_path / "new.json").read_text())["simulator"]["runs"]
+    before, after = of_run["as_delivered"], of_run["corrected"]
+    assert before["energy"] == pytest.approx(before["own"], rel=0.02), "the file is the model that zygos reads of it"
+    assert after["energy"] < 0.05 * before["energy"]
+    assert after["forward"] < 0.2 * before["forward"]
+    corrected = mujoco.MjModel.from_xml_path(str(out))
+    motors = [corrected.joint(f"{name}_motor").dofadr[0] for name in ("shoulder", "elbow")]
+    assert corrected.dof_frictionloss[motors] == pytest.approx([0.0, 3.0], abs=0.03)
+    assert corrected.tendon_stiffness == pytest.approx([3000.0, 1000.0], rel=0.01)
+    assert b"<!-- examples/gap: each rotor is a body of its own -->" in out.read_bytes()

@@ -159,7 +159,7 @@ def _explain_run(
         if robot is not None:
             warn(at_stops(robot, logs))
         own = None
-        if robot is not None and isinstance(found, GroundExplanation):
+        if robot is not None:
             bar.update(task, description=f"{simulation.name} with what was found")
             own = explained_in(robot, found, Path() if out is None else out.parent)
         motion = None
@@ -342,15 +342,13 @@ def finish(
     model = found.model
 
     def answer(draw: bool) -> Answer:
-        if isinstance(found, GroundExplanation):
-            whole = ground_sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
-            return whole if own is None else own.beside(whole)
-        return sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
+        answer_of = ground_sections.answer_of if isinstance(found, GroundExplanation) else sections.answer_of
+        whole = answer_of(found, planned=motion, beside=remarks, draw=draw)
+        return whole if own is None else own.beside(whole)
 
     def content() -> dict[str, Any]:
         known = ground_json(found, source()) if isinstance(found, GroundExplanation) else as_json(found, source())
-        if isinstance(found, GroundExplanation):
-            known["simulator"] = None if own is None else own.as_json()
+        known["simulator"] = None if own is None else own.as_json()
         return {**known, "next_motion": planned_json(motion), "flight": flight, "damage": damage or None}
 
     def save() -> None:
@@ -386,8 +384,8 @@ def command(
         typer.Option(
             "--simulation",
             metavar="CAD.toml|ROBOT.xml|ROBOT.urdf|RUN",
-            help="The model that the simulation uses; the MJCF or URDF of an arm on the ground with rigid joints; or a "
-            "run that another simulator made from the torques of a measured run. Required.",
+            help="The model that the simulation uses; the MJCF of the arm, or its URDF where it is on the ground with "
+            "rigid joints; or a run that another simulator made from the torques of a measured run. Required.",
         ),
     ] = None,
     out: Annotated[

@@ -291,11 +291,17 @@ _ENCODER_ERRORS: tuple[tuple[str, str, str, tuple[str, ...], tuple[_Reads, _Read
 _SIDES: tuple[_Side, ...] = ("link", "motor")
 
 _FRICTIONLOSS = Held(
-    "approximate", "`frictionloss` of the joint; soft constraints round the sign off at rates below 2 mrad/s"
+    "approximate",
+    "`frictionloss` of the joint, or of the hinge of its rotor; soft constraints round the sign off at rates below 2 mrad/s",
 )
 _FRICTION = Held("approximate", "`friction` of `<dynamics>`, as exact as its simulator")
-_REFLECTED = Held("exact", "`armature` and inertials of link and carrier together (docs/simulators.md)")
-_DAMPING = Held("exact", "`damping` of the joint")
+_REFLECTED = Held(
+    "exact",
+    "`armature` and inertials of link and carrier together, or the hinge of a rotor (docs/simulators.md)",
+)
+_DAMPING = Held("exact", "`damping` of the joint, or of the hinge of its rotor")
+_CUBIC = Held("exact", "third number of `stiffness` of the tendon, from MuJoCo 4.0 on")
+_RELAXED = Held("exact", "`springlength` of the tendon; not beside a cubic stiffness")
 _DYNAMICS = Held("exact", "`damping` of `<dynamics>`")
 
 ENTRIES = (
@@ -399,8 +405,22 @@ ENTRIES = (
         positive=False,
         flies=True,
         formula="(θ−q)³",
+        mjcf=_CUBIC,
+        urdf=NOT_HELD,
     ),
-    Kind(OFFSET, "offset of the spring", "Nm", "spring", _offset, _deflection, positive=False, flies=True, formula="1"),
+    Kind(
+        OFFSET,
+        "offset of the spring",
+        "Nm",
+        "spring",
+        _offset,
+        _deflection,
+        positive=False,
+        flies=True,
+        formula="1",
+        mjcf=_RELAXED,
+        urdf=NOT_HELD,
+    ),
     Kind(
         "torque_lag",
         "torque lag",

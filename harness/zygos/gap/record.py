@@ -155,20 +155,26 @@ def _arc_length(lengths: Sequence[int], period_s: float) -> int:
     )
 
 
-def smoothed_states(arm: Arm, readings: Readings) -> State:
+def smoothed_states(arm: Arm, readings: Readings, derivative: int = 0) -> State:
     """Smoothed states (..., A, instants, N) of arcs (docs/theory.md, "Smoother and bandwidth test"). The base rate of a
-    fixed base is (..., A, instants, 0)."""
+    fixed base is (..., A, instants, 0). derivative: 1 for what changes a state, rates and accelerations."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
     parts: list[Array] = []
     for signals, offsets in ((readings.q, _late(arm, "link")), (readings.theta, _late(arm, "motor"))):
-        for derivative in (0, 1):
-            weights = [coefficients(points, order, offset, derivative) / h**derivative for offset in offsets]
+        for further in (derivative, derivative + 1):
+            weights = [coefficients(points, order, offset, further) / h**further for offset in offsets]
             parts.append(np.stack([_filter(signals[..., i], w) for i, w in enumerate(weights)], axis=-1))
     q, qd, theta, thetad = parts
     if not arm.free:
         return State(q, theta, qd, thetad, q[..., :0])
-    of_gyro = coefficients(points, order, -1e-6 / h * arm.imu.latch_us)
+    of_gyro = coefficients(points, order, -1e-6 / h * arm.imu.latch_us, derivative) / h**derivative
     return State(q, theta, qd, thetad, _filter(readings.omega0, of_gyro, -2 if arm.spatial else -1))
+
+
+def smoothed_torques(arm: Arm, readings: Readings) -> Array:
+    """(..., A, instants, N) torques at the instants of `smoothed_states`, smoothed as angles are, Nm before the gear."""
+    # what is in force from SYNC to SYNC is that of the middle
+    return _filter(readings.tau, coefficients(arm.smoother.points, arm.smoother.order, -0.5), -2)
 
 
 def followed(arm: Arm, readings: Readings) -> NDArray[np.bool_]:

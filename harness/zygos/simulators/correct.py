@@ -4,12 +4,13 @@
 An arm has fewer base parameters than its bodies have entries, and those of an estimate contain noise. The inertials are
 therefore those possible ones, near those of the file, that predict the torques of the runs as the model does: each body
 has the Cholesky factor of its matrix [[S, s], [s', m]] of second moment, first moment and mass as coordinates (Rucker &
-Wensing, "Smooth parameterization of rigid-body inertia", RA-L 2022).
+Wensing, "Smooth parameterization of rigid-body inertia", RA-L 2022). The bodies of
+an arm that floats or has flexible joints come as near as possible to the parameters themselves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from zygos.gap.ground.predictions import Stage
 from zygos.ground.motion import TorqueRows
 from zygos.model.model import Model
 from zygos.simulators.held import kept_by
-from zygos.simulators.robot import Lump, Robot, armatures, unreflected
+from zygos.simulators.robot import Hinge, Lump, Owner, Robot, armatures, unreflected
 
 Array = NDArray[np.float64]
 
@@ -32,6 +33,13 @@ _STEPS = 200
 _UPPER, _BELOW = np.triu_indices(3), np.tril_indices(4, -1)
 _THINNEST = 1e-4
 """Smallest eigenvalue of a body's matrix in the coordinates, as a share of its diagonal."""
+_STEP, _LARGE_STEP = 1e-6, 0.1
+"""Steps of the numerical differentiation, as share of the largest parameter of a body; the large one is exact where the
+values are linear."""
+_SMALL = 1e-3
+"""A parameter of an arm is weighed as if it had at least this share of the largest one."""
+_FLATTEST = 0.5 + 1e-6
+"""Inertia of a rotor across its axis, as share of that about it; with half, what ten digits round away is no body."""
 _UNCHANGED = 1e-6
 """Relative change up to which an inertial is that of the file."""
 
@@ -50,7 +58,8 @@ class Corrected:
     """Effects that it cannot hold."""
     left: float
     """Root mean square of the torques that the bodies of the file predict otherwise than the model, as share of the
-    measured torques."""
+    measured torques; of an arm that floats or has flexible joints, that of the differences of the parameters, as share
+    of these."""
 
     def stage(self, name: str) -> Stage:
         """What the file holds, in zygos' own equations."""
@@ -58,25 +67,25 @@ class Corrected:
 
 
 def corrected(robot: Robot, arm: Arm, stage: Stage, rows: Sequence[TorqueRows]) -> Corrected:
-    """The robot with the parameters and effects of a model. rows: of the runs, whose torques say what matters."""
+    """The robot with the parameters and effects of a model. rows: of the runs of an arm on the ground, whose torques say
+    what matters."""
     held, lost = kept_by(robot.format, arm, stage.effects)
+    if not arm.grounded:
+        return _with_springs(robot, arm, stage, held, lost)
     rotors = robot.rotors(arm)
     if robot.format == "MJCF" and arm.torque_at == "rotor":
         for k, parameter in enumerate(arm.parameters):
             if parameter.symbol == "Im" and parameter.joint is not None:
                 rotors[parameter.joint] = max(float(stage.values[k]), 0.0)
-    lumps, values, left = _nearest(robot, arm, rotors, stage.values, _root(rows))
+    bodies = _bodies(robot, arm, rotors, robot.hinges)
+
+    def base(own: Array) -> Array:
+        return bodies(own).unchecked_values(arm)
+
+    # an arm whose base is fixed is linear in the parameters of its bodies
+    lumps, values, left = _nearest(robot.owners, base, stage.values, _root(rows), linear=True)
     armature = armatures(rotors, arm) if arm.torque_at == "rotor" else np.array([h.armature for h in robot.hinges])
-    drives = in_joints(arm, held)
-    hinges = tuple(
-        replace(
-            hinge,
-            armature=_same(hinge.armature, float(armature[j])),
-            friction=_same(hinge.friction, max(float(drives.friction[j]), 0.0)),
-            damping=_same(hinge.damping, max(float(drives.damping[j]), 0.0)),
-        )
-        for j, hinge in enumerate(robot.hinges)
-    )
+    hinges = tuple(_hinges(robot, in_joints(arm, held), armature.tolist()))
     owners = tuple(replace(owner, own=own) for owner, own in zip(robot.owners, lumps, strict=True))
     wanted = values if robot.format == "URDF" else stage.values
     return Corrected(replace(robot, hinges=hinges, owners=owners), wanted, held, lost, left)
@@ -84,22 +93,112 @@ def corrected(robot: Robot, arm: Arm, stage: Stage, rows: Sequence[TorqueRows]) 
 
 @dataclass(frozen=True)
 class InJoints:
-    """Effects as a file has them at N joints."""
+    """Effects as a file has them at N joints, and at the hinges of the rotors of flexible ones."""
 
     friction: Array
     """(N,) Nm."""
     damping: Array
     """(N,) Nms/rad."""
+    rotor_friction: Array
+    """(N,) Nm."""
+    rotor_damping: Array
+    """(N,) Nms/rad, of the rate before the gear."""
+    cubic: Array
+    """(N,) Nm/rad^3 behind the gear."""
+    offset: Array
+    """(N,) Nm behind the gear."""
 
 
 def in_joints(arm: Arm, held: Sequence[Effect]) -> InJoints:
-    """Effects that a file holds, behind the gears. The coupling of a rotor is in its armature and the inertials."""
-    friction, damping = np.zeros(arm.n), np.zeros(arm.n)
+    """Effects that a file holds: those of the motor of a rigid joint behind its gear. The coupling of a rotor is in its
+    armature and the inertials, or in the hinge of the rotor."""
+    out = InJoints(*np.zeros((6, arm.n)))
     for one in held:
-        if one.kind.place in ("motor", "link"):
-            size = one.value * (float(arm.gear_ratios[one.index(arm)]) if one.kind.place == "motor" else 1.0)
-            (damping if one.kind.viscous else friction)[one.index(arm)] += size
-    return InJoints(friction, damping)
+        i, place = one.index(arm), one.kind.place
+        if place not in ("motor", "link", "spring"):
+            continue
+        ratio = float(arm.gear_ratios[i])
+        if place == "spring":
+            (out.cubic if one.kind.key == "cubic_stiffness" else out.offset)[i] += one.value
+        elif place == "motor" and arm.joints[i].flexible:
+            # the rate before the gear is n times that of the law
+            (out.rotor_damping if one.kind.viscous else out.rotor_friction)[i] += (
+                one.value / ratio if one.kind.viscous else one.value
+            )
+        else:
+            size = one.value * (ratio if place == "motor" else 1.0)
+            (out.damping if one.kind.viscous else out.friction)[i] += size
+    return out
+
+
+def _hinges(robot: Robot, drives: InJoints, armature: Sequence[float]) -> Iterator[Hinge]:
+    """The joints with these effects, and with these armatures (N,)."""
+    for j, hinge in enumerate(robot.hinges):
+        yield replace(
+            hinge,
+            armature=_same(hinge.armature, armature[j]),
+            friction=_same(hinge.friction, max(float(drives.friction[j]), 0.0)),
+            damping=_same(hinge.damping, max(float(drives.damping[j]), 0.0)),
+        )
+
+
+def _with_springs(
+    robot: Robot, arm: Arm, stage: Stage, held: tuple[Effect, ...], lost: tuple[Effect, ...]
+) -> Corrected:
+    """The robot of an arm that floats or has flexible joints, whose bodies have the parameters of a model themselves."""
+    given = dict(zip(arm.parameter_names, stage.values.tolist(), strict=True))
+    rotors, drives = robot.rotors(arm), in_joints(arm, held)
+    for j in range(arm.n):
+        rotors[j] = max(given.get(f"Im{j + 1}", rotors[j]), 0.0)
+    hinges = []
+    for j, hinge in enumerate(_hinges(robot, drives, armatures(rotors, arm).tolist())):
+        if (spring := hinge.spring) is None:
+            hinges.append(hinge)
+            continue
+        inertia = _same(spring.inertia(hinge.axis), float(rotors[j]))
+        new = replace(
+            spring,
+            rotor=_spinning(spring.rotor, hinge.axis, inertia),
+            stiffness=_same(spring.stiffness, given[f"k{j + 1}"]),
+            damping=_same(spring.damping, max(given[f"b{j + 1}"], 0.0)),
+            cubic=_same(spring.cubic, float(drives.cubic[j])),
+            offset=_same(spring.offset, float(drives.offset[j])),
+            friction=_same(spring.friction, max(float(drives.rotor_friction[j]), 0.0)),
+            rub=_same(spring.rub, max(float(drives.rotor_damping[j]), 0.0)),
+        )
+        hinges.append(replace(hinge, armature=0.0, spring=new))
+    bodies = _bodies(robot, arm, rotors, hinges)
+    # mass centres stay on the lines between the joints of a planar-symmetric arm: every b_ij is 0
+    full = replace(arm, kinetic="planar") if arm.kinetic == "planar-symmetric" else arm
+    wanted = {name: given[name] for name, _ in arm.body_parameters}
+    names = list(arm.parameter_names)
+    if full is not arm:
+        names = list(full.full_names)
+        kinds = zip(names, full.full_parameters, strict=True)
+        wanted |= {name: 0.0 for name, one in kinds if one.symbol == "b" and one.joint is None}
+    rows = [names.index(name) for name in wanted]
+
+    def base(own: Array) -> Array:
+        values = bodies(own).unchecked_values(full)
+        return (values if full is arm else full.structure.expanded(values))[rows]
+
+    target = np.array(list(wanted.values()))
+    size = np.maximum(np.abs(target), _SMALL * np.abs(target).max())
+    lumps, _, left = _nearest(robot.bodies, base, target, np.diag(1.0 / size) / np.sqrt(len(size)), linear=False)
+    owners = [replace(owner, own=own) for owner, own in zip(robot.bodies, lumps, strict=True)]
+    root = owners.pop(0) if robot.base is not None else None
+    found = replace(robot, hinges=tuple(hinges), owners=tuple(owners), base=root)
+    return Corrected(found, stage.values, held, lost, left)
+
+
+def _spinning(rotor: Lump, axis: Array, inertia: float) -> Lump:
+    """A round rotor with that inertia about its axis (3,); across it, as it was or as a thin disc has it."""
+    was = float(axis @ rotor.tensor @ axis)
+    if inertia == was:
+        return rotor
+    across = max(0.5 * (float(np.trace(rotor.tensor)) - was), _FLATTEST * inertia)
+    about = np.outer(axis, axis)
+    return replace(rotor, tensor=inertia * about + across * (np.eye(3) - about))
 
 
 def _same(old: float, new: float) -> float:
@@ -118,61 +217,68 @@ def _root(rows: Sequence[TorqueRows]) -> Array:
     return np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
 
 
-def _nearest(robot: Robot, arm: Arm, rotors: Array, target: Array, root: Array) -> tuple[list[Lump], Array, float]:
-    """The inertials of the owners (N), the base parameters that the robot then has, and what is left."""
+def _nearest(
+    owners: Sequence[Owner], base: Callable[[Array], Array], target: Array, root: Array, *, linear: bool
+) -> tuple[list[Lump], Array, float]:
+    """The inertials of owners, the values that they then have, and what is left, |root (values - target)|.
+
+    base: the values of their standard parameters (10 each), one after the other; linear: whether it is linear.
+    """
     from scipy.optimize import least_squares  # noqa: PLC0415  (takes a second to import)
 
-    slope, start = _linear(robot, arm, rotors)
-    size = 10 * arm.n
-    factors = [_factor(owner.own) for owner in robot.owners]
-    first = np.concatenate([owner.own.standard for owner in robot.owners])
+    size = 10 * len(owners)
+    factors = [_factor(owner.own) for owner in owners]
+    first = np.concatenate([owner.own.standard for owner in owners])
+    start = base(first)
+    slope = _slope(base, first, start, _LARGE_STEP) if linear else np.zeros(0)
 
     def standard(y: Array) -> Array:
         return np.concatenate(
             [_of_matrix(_moved(factor, own)) for factor, own in zip(factors, y.reshape(-1, 10), strict=True)]
         )
 
-    def values(y: Array) -> Array:
-        return np.asarray(start + slope @ (standard(y) - first), dtype=np.float64)
+    def values(own: Array) -> Array:
+        return np.asarray(start + slope @ (own - first), dtype=np.float64) if linear else base(own)
 
     y = np.zeros(size)
     if float(np.linalg.norm(root @ (start - target))) > _UNCHANGED:
-        for weight in _PRECISIONS:
+        for weight in _PRECISIONS if linear else _PRECISIONS[1::2]:
 
             def residual(y: Array, weight: float = weight) -> Array:
-                return np.concatenate([weight * root @ (values(y) - target), y])
+                return np.concatenate([weight * root @ (values(standard(y)) - target), y])
 
             def jacobian(y: Array, weight: float = weight) -> Array:
                 own = [_change(factor, one) for factor, one in zip(factors, y.reshape(-1, 10), strict=True)]
-                moved = [slope[:, 10 * k : 10 * k + 10] @ one for k, one in enumerate(own)]
+                here = slope if linear else _slope(base, at := standard(y), base(at), _STEP)
+                moved = [here[:, 10 * k : 10 * k + 10] @ one for k, one in enumerate(own)]
                 return np.vstack([weight * root @ np.hstack(moved), np.eye(size)])
 
             y = least_squares(residual, y, jacobian, method="lm", xtol=1e-10, ftol=1e-10, max_nfev=_STEPS).x
     lumps = [
         owner.own if np.max(np.abs(x)) <= _UNCHANGED else Lump.of(own)
-        for owner, own, x in zip(robot.owners, standard(y).reshape(-1, 10), y.reshape(-1, 10), strict=True)
+        for owner, own, x in zip(owners, standard(y).reshape(-1, 10), y.reshape(-1, 10), strict=True)
     ]
-    found = start + slope @ (np.concatenate([one.standard for one in lumps]) - first)
-    return lumps, np.asarray(found, dtype=np.float64), float(np.linalg.norm(root @ (found - target)))
+    found = values(np.concatenate([one.standard for one in lumps]))
+    return lumps, found, float(np.linalg.norm(root @ (found - target)))
 
 
-def _linear(robot: Robot, arm: Arm, rotors: Array) -> tuple[Array, Array]:
-    """(p, 10 N) by how much the base parameters change with the owners' standard parameters, and (p,) those that the
-    robot has with these rotors. An arm whose base is fixed is linear in them."""
-    frames = robot.frames(arm)[1:]
-    drives = robot.model(arm).joints
+def _bodies(robot: Robot, arm: Arm, rotors: Array, hinges: Sequence[Hinge]) -> Callable[[Array], Model]:
+    """The model of zygos with standard parameters (10 each) of the robot's bodies, with these rotors."""
+    drawing = robot.model(arm)
     drives = tuple(
         replace(one, rotor_inertia=replace(one.rotor_inertia, value=inertia))
-        for one, inertia in zip(drives, rotors.tolist(), strict=True)
+        for one, inertia in zip(drawing.joints, rotors.tolist(), strict=True)
     )
-    drawing = robot.model(arm)
+    count = len(robot.bodies)
+    frames, beside = robot.frames(arm)[-count:], [sum(one.standard for one in owner.rest) for owner in robot.bodies]
 
-    def base(segments: Sequence[Array]) -> Array:
-        bodies = [drawing.bodies[0]]
-        for body, own, frame in zip(
-            drawing.bodies[1:], unreflected(segments, rotors, arm, robot.hinges), frames, strict=True
+    def model(own: Array) -> Model:
+        segments = [mine + other for mine, other in zip(own.reshape(-1, 10), beside, strict=True)]
+        bodies = list(drawing.bodies[:-count])
+        for body, standard, frame in zip(
+            drawing.bodies[-count:], unreflected(segments, rotors, arm, hinges), frames, strict=True
         ):
-            lump = Lump.of(own).in_frame(*frame)
+            lump = Lump.of(standard).in_frame(*frame)
             x, y, z = (float(v) for v in lump.centre)
             inertia = tuple(
                 replace(entry, value=float(v)) for entry, v in zip(body.inertia, lump.tensor[_UPPER], strict=True)
@@ -180,19 +286,19 @@ def _linear(robot: Robot, arm: Arm, rotors: Array) -> tuple[Array, Array]:
             bodies.append(
                 replace(body, mass=replace(body.mass, value=lump.mass), origin_xyz=(x, y, z), inertia=inertia)  # type: ignore[arg-type]
             )
-        return Model(drawing.name, tuple(bodies), drives).unchecked_values(arm)
+        return Model(drawing.name, tuple(bodies), drives)
 
-    own = [one.standard for one in robot.segments]
-    start = base(own)
+    return model
+
+
+def _slope(base: Callable[[Array], Array], own: Array, here: Array, step: float) -> Array:
+    """(p, 10 B) by how much values, which are `here` (p,), change with the standard parameters of B bodies. step: as
+    share of the largest parameter of a body."""
     columns = []
-    for i, segment in enumerate(own):
-        scale = max(float(np.abs(segment).max()), 1e-6)
-        for k in range(10):
-            step = np.zeros(10)
-            step[k] = 0.1 * scale
-            one, other = ([*own[:i], segment + sign * step, *own[i + 1 :]] for sign in (1.0, -1.0))
-            columns.append((base(one) - base(other)) / (0.2 * scale))
-    return np.array(columns).T, start
+    for k in range(len(own)):
+        scale = step * max(float(np.abs(own[k - k % 10 : k - k % 10 + 10]).max()), 1e-6)
+        columns.append((base(own + scale * (np.arange(len(own)) == k)) - here) / scale)
+    return np.array(columns).T
 
 
 def _factor(own: Lump) -> Array:

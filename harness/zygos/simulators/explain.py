@@ -17,15 +17,17 @@ from zygos.files.output import number, write_text
 from zygos.gap.explanation import Explanation
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.predictions import Prediction, Stage, predict, run_name
+from zygos.gap.record import MeasuredRun
 from zygos.gap.runs import explain_runs
+from zygos.gap.study import split
 from zygos.ground.estimate import GroundEstimate, complete
 from zygos.ground.motion import Motion, TorqueRows, cutoff_hz, torque_rows
 from zygos.model.model import Model
 from zygos.report.answer import Answer, Items, Section, Text, section, table
 from zygos.simulators.correct import Corrected, corrected
 from zygos.simulators.file import contents, for_output, read_robot, simulator, write
-from zygos.simulators.held import snippet
-from zygos.simulators.measure import Simulated, simulated
+from zygos.simulators.held import in_snippet, snippet
+from zygos.simulators.measure import Course, Simulated, simulated
 from zygos.simulators.robot import Robot, at_stops
 
 
@@ -81,7 +83,7 @@ class InSimulator:
         self.check(out)
         files = self.contents(out)
         write(files)
-        if not self.corrected.lost:
+        if not in_snippet(self.corrected.lost):
             return tuple(files)
         beside = out.with_name(f"{out.stem}_torques.py")
         write_text(beside, snippet(self.arm, self.corrected.lost))
@@ -91,8 +93,11 @@ class InSimulator:
     def notes(self) -> tuple[str, ...]:
         """What the file cannot hold, and what was not used of it, in sentences."""
         out = [*self.robot.notes, *self.stops]
+        told = in_snippet(self.corrected.lost)
         for one in self.corrected.lost:
-            out.append(f"{one.kind.title} ({one.joint}) has no place in {self.robot.format}: it is in the snippet")
+            where = f" ({one.joint})" if one.joint else ""
+            end = "it is in the snippet" if one in told else "it is no part of a robot"
+            out.append(f"{one.kind.title}{where} has no place in {self.robot.format}: {end}")
         rotors = [p.name for p in self.arm.parameters if p.symbol == "Im"]
         if self.robot.format == "URDF" and rotors:
             out.append(f"a URDF holds no rotor ({', '.join(rotors)}): the links take its place as far as they can")
@@ -100,8 +105,8 @@ class InSimulator:
             out.append("the torques are measured behind the gears, so that the armatures of the file stay as they are")
         if self.corrected.left > limits.MATERIAL_DIFFERENCE.value:
             out.append(
-                "possible bodies come as near as "
-                f"{number(100.0 * self.corrected.left, 2)} % of the torques to the parameters that were found"
+                f"possible bodies come as near as {number(100.0 * self.corrected.left, 2)} % of "
+                f"{'the torques' if self.arm.grounded else 'these'} to the parameters that were found"
             )
         return tuple(out)
 
@@ -110,8 +115,8 @@ class InSimulator:
         """The errors in MuJoCo in a line; empty without an untouched run."""
         each = [
             f"{run} "
-            + " → ".join(number(100.0 * one.runs[k].score.arm_energy_share, 3) for one in self.measured)
-            + f" (zygos {number(100.0 * self.measured[-1].runs[k].own.arm_energy_share, 3)})"
+            + " → ".join(number(100.0 * one.runs[k].energy, 3) for one in self.measured)
+            + f" (zygos {number(100.0 * self.measured[-1].runs[k].own, 3)})"
             for k, run in enumerate(self.runs)
         ]
         return (
@@ -124,8 +129,8 @@ class InSimulator:
             (
                 one.name,
                 run,
-                number(100.0 * each.score.arm_energy_share, 3),
-                number(100.0 * each.own.arm_energy_share, 3),
+                number(100.0 * each.energy, 3),
+                number(100.0 * each.own, 3),
                 number(100.0 * each.forward, 3),
             )
             for k, run in enumerate(self.runs)
@@ -167,8 +172,8 @@ class InSimulator:
                     "run": run,
                     **{
                         one.name.replace(" ", "_"): {
-                            "energy": one.runs[k].score.arm_energy_share,
-                            "own": one.runs[k].own.arm_energy_share,
+                            "energy": one.runs[k].energy,
+                            "own": one.runs[k].own,
                             "forward": one.runs[k].forward,
                         }
                         for one in self.measured
@@ -194,39 +199,49 @@ def in_simulator(
     robot: Robot,
     arm: Arm,
     model: Model,
-    runs: Sequence[Run],
-    predictions: Sequence[Prediction] = (),
+    runs: Sequence[Run | MeasuredRun],
+    predictions: Sequence[Prediction | MeasuredRun] = (),
     refit: Stage | None = None,
     folder: Path | None = None,
 ) -> InSimulator:
     """The file with the values of a model, measured in MuJoCo on untouched runs.
 
-    runs: from which the model was learned. predictions: of the untouched runs. folder: where the corrected file will
-    be. Errors: ZygosError where MuJoCo is not installed or rejects the file.
+    runs: from which the model was learned. predictions: of the untouched runs; of an arm that floats or has flexible
+    joints, these runs. folder: where the corrected file will be.
+
+    Errors: ZygosError where MuJoCo is not installed or rejects the file.
     """
-    rows = [*rows_of(runs), *(one.rows for one in predictions)]
+    rows = rows_of([run for run in runs if isinstance(run, Run)])
+    rows += [one.rows for one in predictions if isinstance(one, Prediction)]
     found = corrected(robot, arm, Stage.of("corrected", model, arm), rows)
     measured, integrator = [], ""
+    untouched = [one.run if isinstance(one, Prediction) else one for one in predictions]
     if predictions:
-        delivered = robot.model(arm)
-        stages: list[tuple[Robot | None, Stage]] = [(None, Stage.of("as delivered", delivered, arm))]
+        stages: list[tuple[Robot | None, Stage]] = [(None, Stage.of("as delivered", robot.model(arm), arm))]
         if refit is not None:
             by_refit = corrected(robot, arm, refit, rows)
             stages.append((by_refit.robot, by_refit.stage("refit")))
         stages.append((found.robot, found.stage("corrected")))
+        motions = [one if isinstance(one, Prediction) else Course(one) for one in predictions]
         for changed, stage in stages:
             own = simulator(robot, arm, changed, folder)
             integrator = own.integrator
-            measured.append(Measured(stage.name, tuple(simulated(own, one, stage) for one in predictions)))
-    untouched = [one.run for one in predictions]
+            measured.append(Measured(stage.name, tuple(simulated(own, one, stage) for one in motions)))
     stops = tuple(at_stops(robot, [*runs, *untouched]))
     return InSimulator(robot, arm, found, tuple(measured), tuple(map(run_name, untouched)), stops, integrator)
 
 
-def explained_in(robot: Robot, found: GroundExplanation, folder: Path | None = None) -> InSimulator | None:
+def explained_in(
+    robot: Robot, found: GroundExplanation | Explanation, folder: Path | None = None
+) -> InSimulator | None:
     """The file with the model of an explanation; None where there is none. Errors: as `in_simulator`."""
     if found.model is None:
         return None
+    if isinstance(found, Explanation):
+        refit = found.refit
+        values, effects = split(refit.hypothesis, refit.value)
+        stage = Stage("refit", values, tuple(effects)) if refit.physical else None
+        return in_simulator(robot, found.arm, found.model, refit.records, found.validated, stage, folder)
     gap = found.gap
     return in_simulator(
         robot,
@@ -256,7 +271,7 @@ def estimated_in(
 class FileExplanation:
     """An explanation whose simulation is a file of a simulator."""
 
-    found: GroundExplanation
+    found: GroundExplanation | Explanation
     """The explanation itself: answer, findings, model, gap."""
     robot: Robot
 
@@ -337,5 +352,4 @@ def explain(
     arm = measured[0].arm
     robot = read_robot(Path(simulation), arm)
     found = explain_runs(robot.model(arm), measured, validate=validate, without=without, progress=progress)
-    assert isinstance(found, GroundExplanation), "files of simulators are of arms on the ground"
     return FileExplanation(found, robot)

@@ -44,10 +44,11 @@ def read_robot(path: Path, arm: Arm | None, joints: int | None = None) -> Robot:
         robot = read_mjcf(path, names)
     if arm is None:
         return robot
-    if not arm.grounded:
+    if robot.format == "URDF" and not arm.grounded:
         raise ZygosError(
-            f"{path}: arm {arm.name} floats or has flexible joints, of which no file of a simulator says gears, "
-            "springs and sensors; remedy: a model.toml as --simulation (`zygos import` makes one from a URDF)"
+            f"{path}: arm {arm.name} floats or has flexible joints, and a URDF holds neither rotors nor springs; "
+            "remedy: an MJCF with both (docs/simulators.md), or a model.toml as --simulation (`zygos import` makes one "
+            "from a URDF)"
         )
     check_gears(arm, arm.name)
     return robot.ordered(arm)

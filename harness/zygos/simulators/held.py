@@ -10,26 +10,37 @@ from zygos.effects import Effect
 from zygos.simulators.robot import Format
 
 _SIZES = {
-    "viscous_asymmetry": "-c * n * abs(qd[j])",
-    "link_viscous_asymmetry": "-c * abs(qd[j])",
-    "load_friction": "-c * abs(tau[j]) * np.tanh(qd[j] / 0.01)",
+    "viscous_asymmetry": "-c * m * abs(v)",
+    "link_viscous_asymmetry": "-c * abs(v)",
+    "load_friction": "-c * abs(tau[j]) * np.tanh(v / 0.01)",
     "torque_gain": "c * tau[j]",
-    "torque_offset": "-c * n",
-    "motor_stribeck": "-c * n * np.exp(-((qd[j] / s) ** 2)) * np.clip(qd[j] / 1e-3, -1, 1)",
-    "link_stribeck": "-c * np.exp(-((qd[j] / s) ** 2)) * np.clip(qd[j] / 1e-3, -1, 1)",
-    "ripple_sin": "c * n * np.sin(s * n * q[j])",
-    "ripple_cos": "c * n * np.cos(s * n * q[j])",
+    "torque_offset": "-c * m",
+    "motor_stribeck": "-c * m * np.exp(-((v / s) ** 2)) * np.clip(v / 1e-3, -1, 1)",
+    "link_stribeck": "-c * np.exp(-((v / s) ** 2)) * np.clip(v / 1e-3, -1, 1)",
+    "ripple_sin": "c * m * np.sin(s * n * a)",
+    "ripple_cos": "c * m * np.cos(s * n * a)",
 }
-"""Torque at a joint (Nm) of effects that are functions of the instant. c: the coefficient, s: the shape, n: the gear
-ratio; q, qd, tau: angles, rates and the torques of the actuators at the joints."""
+"""Torque at a joint, or at its rotor where it is flexible (Nm), of effects that are functions of the instant. c: the
+coefficient, s: the shape, n: the gear ratio; a, v: angle and rate after the gear; tau: the torques of the actuators;
+m: what the torque of a motor is multiplied with there, n at a joint and 1 at a rotor."""
 
 
 def kept_by(file: Format, arm: Arm, effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
-    """The effects of an arm with rigid joints that a file of this format holds, and those that it cannot."""
+    """The effects of an arm that a file of this format holds, and those that it cannot."""
+    # a tendon with a cubic stiffness has its zero where the spring is relaxed
+    cubic = {one.joint for one in effects if one.kind.key == "cubic_stiffness"}
+    held = []
     for one in effects:
         one.index(arm)
-    held = tuple(one for one in effects if (one.kind.mjcf if file == "MJCF" else one.kind.urdf).holds)
-    return held, tuple(one for one in effects if one not in held)
+        holds = (one.kind.mjcf if file == "MJCF" else one.kind.urdf).holds
+        if holds and not (one.kind.key == "spring_offset" and one.joint in cubic):
+            held.append(one)
+    return tuple(held), tuple(one for one in effects if one not in held)
+
+
+def in_snippet(lost: Sequence[Effect]) -> list[Effect]:
+    """Those that lines in the control loop can add: errors of sensors and the state of a base are no part of a robot."""
+    return [one for one in lost if one.kind.mjcf.how != "no" or one.kind.key == "rotor_coupling"]
 
 
 def snippet(arm: Arm, lost: Sequence[Effect]) -> str:
@@ -37,6 +48,8 @@ def snippet(arm: Arm, lost: Sequence[Effect]) -> str:
 
     An effect with a memory, or of an own law, is named in a comment, with its law in words.
     """
+    flexible = any(joint.flexible for joint in arm.joints)
+    names = [joint.name for joint in arm.joints] + [f"rotor of {joint.name}" for joint in arm.joints if flexible]
     lines = [
         '"""Torques of the effects that the corrected file cannot hold. In the control loop:',
         "",
@@ -47,15 +60,18 @@ def snippet(arm: Arm, lost: Sequence[Effect]) -> str:
         "",
         "",
         "def extra(q, qd, tau):",
-        f'    """Nm at the joints {", ".join(joint.name for joint in arm.joints)}."""',
+        f'    """Nm at the joints {", ".join(names)}."""',
         "    out = np.zeros_like(tau)",
     ]
-    for one in lost:
+    for one in in_snippet(lost):
         j = one.index(arm)
         n, s = float(arm.gear_ratios[j]), "None" if one.shape is None else repr(one.shape)
-        where = f"{one.kind.title}, {one.joint}"
+        where = one.kind.title if one.joint is None else f"{one.kind.title}, {one.joint}"
         if one.kind.key in _SIZES:
-            lines.append(f"    j, n, c, s = {j}, {n!r}, {one.value!r}, {s}  # {where}")
+            rotor = arm.joints[j].flexible and one.kind.side == "motor"
+            at, a, v, m = (arm.n + j, "q[j] / n", "qd[j] / n", 1.0) if rotor else (j, "q[j]", "qd[j]", n)
+            lines.append(f"    j, n, c, s, m = {at}, {n!r}, {one.value!r}, {s}, {m!r}  # {where}")
+            lines.append(f"    a, v = {a}, {v}")
             lines.append(f"    out[j] += {_SIZES[one.kind.key]}")
         elif one.kind.lags:
             lines.append(f"    # {where}: apply the torque of joint {j} later by {one.value!r} s")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from zygos.errors import ZygosError, installs
-from zygos.simulators.robot import Hinge, Lump, Owner, Robot, written
+from zygos.simulators.robot import Hinge, Lump, Owner, Robot, Spring, written
 from zygos.simulators.xml import Document, Edits, Element, read_document
 
 _MAKERS = ("replicate", "attach", "composite", "flexcomp")
@@ -27,6 +28,11 @@ _FALSIFYING = {
 _TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 """What an `<inertial>` with fullinertia must not have."""
 _SWITCHED_OFF = ("", "false", "auto", "0", "-1")
+_TENDONS = ("fixed", "spatial")
+_FREE, _HINGE = 0, 3
+"""Kinds of joints, as mujoco.mjtJoint has them."""
+_SAME = 1e-6
+"""Largest difference of what has to be equal, as share of it, or in m."""
 
 
 def load_mujoco() -> Any:
@@ -108,8 +114,8 @@ def read_mjcf(path: Path, joints: Sequence[str] | int | None) -> Robot:
     joints: names of the joints in the order from the base, or their number, counted along the only chain; None: all
     hinges of the only chain. Other joints are held where the file has them.
 
-    Errors: ZygosError for a file that MuJoCo does not read, for a base that moves, for a chain that is not one of
-    hinges, and for what zygos has no equations for.
+    Errors: ZygosError for a file that MuJoCo does not read, for a base that moves otherwise than by a free joint, for a
+    chain that is not one of hinges, and for what zygos has no equations for.
     """
     document = read_document(path, includes=True)
     check_compiler(document)
@@ -124,16 +130,25 @@ def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document
     mujoco = load_mujoco()
     data = mujoco.MjData(tree)
     mujoco.mj_kinematics(tree, data)
+    if (joints is None or isinstance(joints, int)) and _floats_or_bends(mujoco, tree):
+        raise ZygosError(
+            f"{path}: its arm floats or has springs, whose encoders, gears and gyro no file of a simulator states; "
+            "remedy: give the arm file with --arm, and logs or tables that `zygos convert` wrote"
+        )
     chosen = _chosen(path, tree, joints)
-    _check(path, mujoco, tree, chosen)
+    root = _root(path, tree, chosen[0])
+    springs = springs_of(path, mujoco, tree, chosen)
+    _check(path, mujoco, tree, chosen, [one.tendon for one in springs.values()])
     if document is not None:
         bodies_of(document, tree)
+    view = _View(tree, data, root)
     carriers = [int(tree.jnt_bodyid[j]) for j in chosen]
+    rotors = {int(tree.jnt_bodyid[one.number]) for one in springs.values()}
     hinges = tuple(
         Hinge(
             tree.joint(j).name or f"joint{k}",
-            data.xanchor[j].copy(),
-            _clean(data.xaxis[j]),
+            view.place(data.xanchor[j]),
+            _clean(view.attitude.T @ data.xaxis[j]),
             float(tree.qpos0[tree.jnt_qposadr[j]]),
             float(tree.dof_armature[tree.jnt_dofadr[j]]),
             float(tree.dof_frictionloss[tree.jnt_dofadr[j]]),
@@ -142,35 +157,180 @@ def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document
             j,
             tree.joint(j).name,
             (float(tree.jnt_range[j, 0]), float(tree.jnt_range[j, 1])) if tree.jnt_limited[j] else None,
+            _spring(path, view, springs[j], j, carriers) if j in springs else None,
         )
         for k, j in enumerate(chosen, start=1)
     )
-    members: list[list[int]] = [[] for _ in chosen]
+    members: dict[int, list[int]] = {body: [] for body in ([] if root is None else [root]) + carriers}
     for body in range(1, tree.nbody):
         at = body
-        while at and at not in carriers:
+        while at and at not in members:
             at = int(tree.body_parentid[at])
-        if at:
-            members[carriers.index(at)].append(body)
-    owners = []
-    for hinge, bodies in zip(hinges, members, strict=True):
-        heaviest = max(bodies, key=lambda b: float(tree.body_mass[b]))
-        if not tree.body_mass[heaviest] > 0.0:
-            raise ZygosError(f"{path}: what joint {hinge.name} moves has no mass; remedy: give its body an <inertial>")
-        lumps = {b: _lump(tree, data, b) for b in bodies}
-        owners.append(
-            Owner(
-                tree.body(heaviest).name or f"body {heaviest}",
-                data.xmat[heaviest].reshape(3, 3).copy(),
-                data.xpos[heaviest].copy(),
-                lumps.pop(heaviest),
-                tuple(lumps.values()),
-                heaviest,
-            )
-        )
-    held = [tree.joint(j).name for j in range(tree.njnt) if j not in chosen]
+        if at and body not in rotors:
+            members[at].append(body)
+    named = ["the base", *(f"what joint {hinge.name} moves" for hinge in hinges)]
+    owners = [
+        _owner(path, view, bodies, said)
+        for said, bodies in zip(named[-len(members) :], members.values(), strict=True)
+    ]
+    base = owners.pop(0) if root is not None else None
+    known = {*chosen, *(one.number for one in springs.values())}
+    held = [tree.joint(j).name for j in range(tree.njnt) if j not in known and tree.jnt_type[j] != _FREE]
     notes = [f"held where the file has it: joint {', '.join(held)}"] if held else []
-    return Robot(path, "MJCF", hinges, tuple(owners), np.array(tree.opt.gravity), tuple(notes))
+    return Robot(
+        path, "MJCF", hinges, tuple(owners), np.array(tree.opt.gravity) @ view.attitude, tuple(notes), base=base
+    )
+
+
+@dataclass(frozen=True)
+class _View:
+    """A compiled file in the posture in which it is written, in the axes of the base of the arm."""
+
+    tree: Any
+    data: Any
+    root: int | None
+    """The body of a base that floats."""
+
+    @property
+    def attitude(self) -> Any:
+        """(3, 3) of the base in the world."""
+        return np.eye(3) if self.root is None else self.data.xmat[self.root].reshape(3, 3)
+
+    def place(self, at: Any) -> Any:
+        """A place of the world (3,), m."""
+        origin = np.zeros(3) if self.root is None else self.data.xpos[self.root]
+        return self.attitude.T @ (at - origin)
+
+    def lump(self, body: int) -> Lump:
+        """The mass of a body."""
+        axes = self.attitude.T @ self.data.ximat[body].reshape(3, 3)
+        tensor = axes @ np.diag(self.tree.body_inertia[body]) @ axes.T
+        return Lump(float(self.tree.body_mass[body]), self.place(self.data.xipos[body]), tensor)
+
+
+def _owner(path: Path, view: _View, bodies: Sequence[int], said: str) -> Owner:
+    """Of bodies that move together, the one whose inertial is changed: the heaviest. said: what they are."""
+    tree, data = view.tree, view.data
+    heaviest = max(bodies, key=lambda b: float(tree.body_mass[b]))
+    if not tree.body_mass[heaviest] > 0.0:
+        raise ZygosError(f"{path}: {said} has no mass; remedy: give its body an <inertial>")
+    lumps = {b: view.lump(b) for b in bodies}
+    return Owner(
+        tree.body(heaviest).name or f"body {heaviest}",
+        view.attitude.T @ data.xmat[heaviest].reshape(3, 3),
+        view.place(data.xpos[heaviest]),
+        lumps.pop(heaviest),
+        tuple(lumps.values()),
+        heaviest,
+    )
+
+
+@dataclass(frozen=True)
+class Tie:
+    """A tendon that ties a joint of the arm to the hinge of its rotor."""
+
+    tendon: int
+    number: int
+    """Of the hinge of the rotor."""
+    of_joint: float
+    """Length for each radian, m."""
+    of_rotor: float
+
+
+def springs_of(path: Path, mujoco: Any, tree: Any, chosen: Sequence[int]) -> dict[int, Tie]:
+    """The springs of joints, by number of the joint. Errors: ZygosError for two of them at one joint."""
+    out: dict[int, Tie] = {}
+    for t in range(tree.ntendon):
+        start, count = int(tree.tendon_adr[t]), int(tree.tendon_num[t])
+        if count != 2 or any(tree.wrap_type[start : start + 2] != mujoco.mjtWrap.mjWRAP_JOINT):
+            continue
+        ends = [(int(tree.wrap_objid[w]), float(tree.wrap_prm[w])) for w in (start, start + 1)]
+        ends.sort(key=lambda end: end[0] not in chosen)
+        (joint, own), (other, behind) = ends
+        if joint not in chosen or other in chosen or tree.jnt_type[other] != _HINGE or tree.tendon_stiffness[t] == 0.0:
+            continue
+        if joint in out:
+            raise ZygosError(
+                f"{path}: joint {tree.joint(joint).name} has two springs; remedy: keep one of the tendons"
+            )
+        out[joint] = Tie(t, other, own, behind)
+    return out
+
+
+def _spring(path: Path, view: _View, tie: Tie, joint: int, carriers: Sequence[int]) -> Spring:
+    """What a tendon and a rotor say of the spring of a joint.
+
+    Errors: ZygosError for a rotor that zygos has no equations for.
+    """
+    tree, data, t, r = view.tree, view.data, tie.tendon, tie.number
+    name, body, dof = tree.joint(joint).name, int(tree.jnt_bodyid[r]), int(tree.jnt_dofadr[r])
+
+    def refuse(what: str, remedy: str) -> None:
+        raise ZygosError(f"{path}: the rotor of joint {name} {what}; remedy: {remedy}")
+
+    def moves_with(at: int) -> int:
+        stops = {*carriers, view.root, 0}
+        while at not in stops:
+            at = int(tree.body_parentid[at])
+        return at
+
+    carrier = moves_with(int(tree.body_parentid[int(tree.jnt_bodyid[joint])]))
+    if moves_with(int(tree.body_parentid[body])) != carrier:
+        refuse("is not carried by the body before the joint", "put its body there")
+    if np.any(tree.body_parentid == body) or tree.body_jntnum[body] != 1:
+        refuse("carries a body or has a second joint", "keep one hinge, and fix other bodies to the link or its carrier")
+    axis, apart = data.xaxis[joint], data.xanchor[r] - data.xanchor[joint]
+    if np.dot(axis, data.xaxis[r]) < 1.0 - _SAME or np.linalg.norm(np.cross(axis, apart)) > _SAME:
+        refuse("does not turn about the axis of the joint", "give both hinges one axis, with the same sign")
+    if not -tie.of_joint / tie.of_rotor > 0.0:
+        refuse("turns the other way", "coefficients 1/n for the rotor and -1 for the joint, n being the gear ratio")
+    if tree.dof_armature[dof] != 0.0 or tree.dof_armature[int(tree.jnt_dofadr[joint])] != 0.0:
+        refuse(
+            "or the joint itself has an armature, which takes no part in the motion of the body that carries it",
+            "write the inertia of the rotor into its <inertial>, and no armature",
+        )
+    if tree.jnt_stiffness[r] != 0.0 or np.any(tree.dof_dampingpoly[dof] != 0.0):
+        refuse("has a spring of its own or a damping polynomial", "write one damping, and no stiffness")
+    axis = view.attitude.T @ axis
+    lump = view.lump(body)
+    about = float(axis @ lump.tensor @ axis)
+    across = 0.5 * (float(np.trace(lump.tensor)) - about)
+    round_one = about * np.outer(axis, axis) + across * (np.eye(3) - np.outer(axis, axis))
+    off = np.cross(axis, lump.centre - view.place(data.xanchor[joint]))
+    if np.max(np.abs(lump.tensor - round_one)) > _SAME * max(about, across) or np.linalg.norm(off) > _SAME:
+        refuse(
+            "is not round: turned, it is another body for the arm",
+            "a mass centre on the axis, and equal moments of inertia across it",
+        )
+    if tree.tendon_limited[t] or tree.tendon_frictionloss[t] != 0.0 or tree.tendon_armature[t] != 0.0:
+        refuse("is tied by a tendon with a range, friction or an armature", "remove these from the tendon")
+    if np.any(tree.tendon_dampingpoly[t] != 0.0) or tree.tendon_stiffnesspoly[t, 0] != 0.0:
+        refuse("is tied by a tendon with a polynomial", "one damping, and at most a stiffness and its cubic term")
+    low, high = (float(x) for x in tree.tendon_lengthspring[t])
+    relaxed = sum(
+        c * float(tree.qpos0[int(tree.jnt_qposadr[j])]) for j, c in ((joint, tie.of_joint), (r, tie.of_rotor))
+    )
+    if low != high:
+        refuse("is tied by a tendon with a gap (two numbers of springlength)", "write one")
+    cubic, offset = float(tree.tendon_stiffnesspoly[t, 1]) * tie.of_joint**4, 0.0
+    if abs(low - relaxed) > _SAME * abs(tie.of_joint) * 1e-3:
+        offset = tie.of_joint * float(tree.tendon_stiffness[t]) * (low - relaxed)
+    if cubic and offset:
+        refuse("is tied by a tendon with a cubic stiffness and a springlength", "keep one of the two")
+    return Spring(
+        lump,
+        float(tree.qpos0[int(tree.jnt_qposadr[r])]),
+        -tie.of_joint / tie.of_rotor,
+        float(tree.tendon_stiffness[t]) * tie.of_joint**2,
+        float(tree.tendon_damping[t]) * tie.of_joint**2,
+        cubic,
+        offset,
+        float(tree.dof_frictionloss[dof]),
+        float(tree.dof_damping[dof]),
+        r,
+        t,
+        tie.of_rotor,
+    )
 
 
 def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dict[Path, bytes]:
@@ -182,39 +342,74 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
     document = read_document(old.path, includes=True)
     tree = compiled(old.path)
     elements, edits = bodies_of(document, tree), Edits(document)
+
+    def change(element: Element, *numbers: tuple[str, float, float]) -> None:
+        for name, was, now in numbers:
+            if was != now:
+                edits.give(element, **{name: written([now])})
+
+    def joint(number: int) -> Element:
+        body = int(tree.jnt_bodyid[number])
+        return joints_of(elements[body - 1])[number - int(tree.body_jntadr[body])]
+
+    def inertial(body: int, lump: Lump) -> None:
+        full = lump.tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        entries = {"pos": written(lump.centre), "mass": written([lump.mass]), "fullinertia": written(full)}
+        old = elements[body - 1].first("inertial")
+        if old is None:
+            text = "<inertial " + " ".join(f'{k}="{v}"' for k, v in entries.items()) + "/>"
+            edits.insert(elements[body - 1], text)
+        else:
+            edits.give(old, **entries, **dict.fromkeys(_TURNS))
+
     for before, after in zip(old.hinges, new.hinges, strict=True):
-        body = int(tree.jnt_bodyid[before.number])
-        own = joints_of(elements[body - 1])[before.number - int(tree.body_jntadr[body])]
-        for name, was, now in (
+        change(
+            joint(before.number),
             ("armature", before.armature, after.armature),
             ("frictionloss", before.friction, after.friction),
             ("damping", before.damping, after.damping),
-        ):
-            if was != now:
-                edits.give(own, **{name: written([now])})
-    for carried, owner in zip(old.owners, new.owners, strict=True):
-        if carried.own is owner.own:
+        )
+        was, now = before.spring, after.spring
+        if was is None or now is None or was is now:
             continue
-        lump = owner.own.in_frame(owner.attitude, owner.origin)
-        full = lump.tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        entries = {"pos": written(lump.centre), "mass": written([lump.mass]), "fullinertia": written(full)}
-        element = elements[owner.number - 1]
-        inertial = element.first("inertial")
-        if inertial is None:
-            edits.insert(element, "<inertial " + " ".join(f'{k}="{v}"' for k, v in entries.items()) + "/>")
-        else:
-            edits.give(inertial, **entries, **dict.fromkeys(_TURNS))
+        change(joint(was.number), ("frictionloss", was.friction, now.friction), ("damping", was.rub, now.rub))
+        tendon, size = tendons_of(document)[was.tendon], (was.coefficient * was.ratio) ** 2
+        change(tendon, ("damping", was.damping / size, now.damping / size))
+        if (was.stiffness, was.cubic) != (now.stiffness, now.cubic):
+            terms = [now.stiffness / size, *([0.0, now.cubic / size**2] if now.cubic else [])]
+            edits.give(tendon, stiffness=" ".join(f"{x:.10g}" for x in terms))
+        if (was.stiffness, was.offset) != (now.stiffness, now.offset) and (was.offset or now.offset):
+            # the length at the zeros, and what the offset adds to it
+            low = float(tree.tendon_lengthspring[was.tendon, 0])
+            of_joint = -was.coefficient * was.ratio
+            low += of_joint * (now.offset / now.stiffness - was.offset / was.stiffness)
+            edits.give(tendon, springlength=written([low]))
+        if now.rotor is not was.rotor:
+            body = int(tree.jnt_bodyid[was.number])
+            attitude, origin = _pose(tree, body, new.base)
+            inertial(body, now.rotor.in_frame(attitude, origin))
+    for carried, owner in zip(old.bodies, new.bodies, strict=True):
+        if carried.own is not owner.own:
+            inertial(owner.number, owner.own.in_frame(owner.attitude, owner.origin))
     return edits.result(rename)
+
+
+def _pose(tree: Any, body: int, base: Owner | None) -> tuple[Any, Any]:
+    """Attitude (3, 3) and origin (3,) of a body in the axes of the base."""
+    mujoco = load_mujoco()
+    data = mujoco.MjData(tree)
+    mujoco.mj_kinematics(tree, data)
+    view = _View(tree, data, None if base is None else int(tree.body_rootid[body]))
+    return view.attitude.T @ data.xmat[body].reshape(3, 3), view.place(data.xpos[body])
+
+
+def tendons_of(document: Document) -> list[Element]:
+    """The elements of the tendons, in MuJoCo's order."""
+    return [one for section in document.root.all("tendon") for one in section.children if one.tag in _TENDONS]
 
 
 def _chosen(path: Path, tree: Any, joints: Sequence[str] | int | None) -> list[int]:
     """Numbers of the joints of the arm in the order from the base."""
-    free = [j for j in range(tree.njnt) if tree.jnt_type[j] == 0]
-    if free:
-        raise ZygosError(
-            f"{path}: the base floats (free joint {tree.joint(free[0]).name or 'without a name'}), and files of a "
-            "simulator are for a fixed base; remedy: a model.toml as --simulation"
-        )
     names = [tree.joint(j).name for j in range(tree.njnt)]
     if joints is not None and not isinstance(joints, int) and all(name in names for name in joints):
         chosen = [names.index(name) for name in joints]
@@ -230,7 +425,7 @@ def _chosen(path: Path, tree: Any, joints: Sequence[str] | int | None) -> list[i
     at = 0
     while count is None or len(chosen) < count:
         after = [
-            j for j in range(tree.njnt) if tree.jnt_type[j] == 3 and j not in chosen and _next(tree, j, at, chosen)
+            j for j in range(tree.njnt) if tree.jnt_type[j] == _HINGE and j not in chosen and _next(tree, j, at, chosen)
         ]
         if not after:
             break
@@ -249,6 +444,33 @@ def _chosen(path: Path, tree: Any, joints: Sequence[str] | int | None) -> list[i
     return chosen
 
 
+def _floats_or_bends(mujoco: Any, tree: Any) -> bool:
+    """Whether a body that floats carries hinges, or a tendon is a spring between two hinges."""
+    hinged = [int(tree.body_rootid[tree.jnt_bodyid[j]]) for j in range(tree.njnt) if tree.jnt_type[j] == _HINGE]
+    floats = any(tree.jnt_type[j] == _FREE and int(tree.jnt_bodyid[j]) in hinged for j in range(tree.njnt))
+    return floats or any(
+        tree.tendon_stiffness[t] != 0.0
+        and tree.tendon_num[t] == 2
+        and tree.wrap_type[int(tree.tendon_adr[t])] == mujoco.mjtWrap.mjWRAP_JOINT
+        for t in range(tree.ntendon)
+    )
+
+
+def _root(path: Path, tree: Any, first: int) -> int | None:
+    """The body of a base that floats; None where it is fixed. first: number of the first joint of the arm.
+
+    Errors: ZygosError where another body floats."""
+    root = int(tree.body_rootid[int(tree.jnt_bodyid[first])])
+    free = [j for j in range(tree.njnt) if tree.jnt_type[j] == _FREE]
+    other = [j for j in free if tree.jnt_bodyid[j] != root]
+    if other:
+        raise ZygosError(
+            f"{path}: body {tree.body(int(tree.jnt_bodyid[other[0]])).name or 'without a name'} floats, and is not the "
+            "base of the arm; remedy: leave it out of the file that is corrected"
+        )
+    return root if free else None
+
+
 def _carries(tree: Any, body: int, other: int) -> bool:
     """Whether a body carries another one."""
     while other and other != body:
@@ -259,7 +481,7 @@ def _carries(tree: Any, body: int, other: int) -> bool:
 def _next(tree: Any, joint: int, body: int, chosen: Sequence[int]) -> bool:
     """Whether a hinge is the next one behind a body: no hinge lies between them."""
     at = int(tree.jnt_bodyid[joint])
-    hinged = {int(tree.jnt_bodyid[j]) for j in range(tree.njnt) if tree.jnt_type[j] == 3 and j != joint}
+    hinged = {int(tree.jnt_bodyid[j]) for j in range(tree.njnt) if tree.jnt_type[j] == _HINGE and j != joint}
     hinged -= {int(tree.jnt_bodyid[j]) for j in chosen}
     at = int(tree.body_parentid[at])
     while at != body:
@@ -269,7 +491,9 @@ def _next(tree: Any, joint: int, body: int, chosen: Sequence[int]) -> bool:
     return True
 
 
-def _check(path: Path, mujoco: Any, tree: Any, chosen: Sequence[int]) -> None:  # noqa: PLR0912  (a list of refusals)
+def _check(  # noqa: PLR0912  (a list of refusals)
+    path: Path, mujoco: Any, tree: Any, chosen: Sequence[int], springs: Sequence[int]
+) -> None:
     """Refuse, with ZygosError, what zygos has no equations for."""
 
     def refuse(what: str, remedy: str) -> None:
@@ -279,7 +503,7 @@ def _check(path: Path, mujoco: Any, tree: Any, chosen: Sequence[int]) -> None:  
     between = bodies[-1]
     while between:
         for j in range(tree.njnt):
-            if tree.jnt_bodyid[j] == between and j not in chosen:
+            if tree.jnt_bodyid[j] == between and j not in chosen and tree.jnt_type[j] != _FREE:
                 refuse(
                     f"joint {tree.joint(j).name} lies between the joints of the arm and is none of them",
                     "give all joints of the arm in the arm file; linear axes are not supported",
@@ -289,7 +513,7 @@ def _check(path: Path, mujoco: Any, tree: Any, chosen: Sequence[int]) -> None:  
         refuse("a body has two joints", "put a body with mass between them")
     for j in chosen:
         name, dof = tree.joint(j).name, int(tree.jnt_dofadr[j])
-        if tree.jnt_type[j] != 3:
+        if tree.jnt_type[j] != _HINGE:
             refuse(f"joint {name} does not turn", "linear axes are not supported")
         if tree.jnt_stiffness[j] != 0.0:
             refuse(
@@ -311,10 +535,11 @@ def _check(path: Path, mujoco: Any, tree: Any, chosen: Sequence[int]) -> None:  
             for w in range(start, start + count)
             if tree.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT
         ]
-        if acts and any(j in chosen for j in of):
+        if acts and t not in springs and any(j in chosen for j in of):
             refuse(
-                f"tendon {tree.tendon(t).name} acts on the joints of the arm",
-                "a model.toml with flexible joints as --simulation",
+                f"tendon {tree.tendon(t).name} acts on the joints of the arm, and ties none of them to its rotor",
+                "a fixed tendon between the joint and the hinge of its rotor (docs/simulators.md), or a model.toml as "
+                "--simulation",
             )
     for e in range(tree.neq):
         if tree.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and {int(tree.eq_obj1id[e]), int(tree.eq_obj2id[e])} & set(
@@ -331,11 +556,6 @@ def _gear(mujoco: Any, tree: Any, joint: int) -> float | None:
         if tree.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and tree.actuator_trnid[a, 0] == joint
     ]
     return gears[0] if len(gears) == 1 and gears[0] > 1.5 else None
-
-
-def _lump(tree: Any, data: Any, body: int) -> Lump:
-    axes = data.ximat[body].reshape(3, 3)
-    return Lump(float(tree.body_mass[body]), data.xipos[body].copy(), axes @ np.diag(tree.body_inertia[body]) @ axes.T)
 
 
 def _clean(axis: Any) -> Any:

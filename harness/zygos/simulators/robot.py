@@ -10,7 +10,8 @@ inertia Im before a gear of ratio n, which the body before the joint carries. It
     armature   (n^2 - n) Im
 
 with rigid joints (a: axis), exactly: Im (w a)^2 / 2 + n Im qd (w a) + n^2 Im qd^2 / 2 for a carrier that turns with w,
-and as a thin disc across its axis half as much as about it.
+and as a thin disc across its axis half as much as about it. A joint with a spring cannot be mapped so: its rotor is a
+body of its own on a hinge beside the joint, which turns n times as far, and the spring a tendon between the two.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother
 from zygos.can.run import Run
 from zygos.effects import Effect, effect
 from zygos.errors import ZygosError
+from zygos.gap.record import MeasuredRun
 from zygos.model.model import Body, JointModel, Model, Quantity
 
 Array = NDArray[np.float64]
@@ -38,6 +40,7 @@ USUAL_GEAR = 100.0
 _AT_STOP_RAD = 1e-3
 _SAME_PLACE_M = 1e-5
 _SAME_AXIS = 1e-5
+_SAME_RATIO = 1e-6
 _UPPER = np.triu_indices(3)
 
 
@@ -74,6 +77,40 @@ class Lump:
 
 
 @dataclass(frozen=True)
+class Spring:
+    """The spring of a joint in the file: a tendon between the joint and the hinge of its rotor, which the body before
+    the joint carries."""
+
+    rotor: Lump
+    zero_rad: float
+    """Angle of the rotor's hinge at which the arm has the posture of the file."""
+    ratio: float
+    """Turns of the rotor for one turn of the joint at which the spring is relaxed."""
+    stiffness: float
+    """Nm/rad behind the gear."""
+    damping: float
+    """Nms/rad behind the gear."""
+    cubic: float = 0.0
+    """Nm/rad^3 behind the gear."""
+    offset: float = 0.0
+    """Nm at the link where joint and rotor are at their zeros."""
+    friction: float = 0.0
+    """Nm of the rotor's hinge, before the gear."""
+    rub: float = 0.0
+    """Nms/rad of the rotor's hinge, before the gear."""
+    number: int = -1
+    """Of the hinge of the rotor in MuJoCo."""
+    tendon: int = -1
+    """Of the tendon in MuJoCo."""
+    coefficient: float = 1.0
+    """Length of the tendon for each radian of the rotor, m."""
+
+    def inertia(self, axis: Array) -> float:
+        """Of the rotor about the axis (3,) of its joint, kg m^2."""
+        return float(axis @ self.rotor.tensor @ axis)
+
+
+@dataclass(frozen=True)
 class Hinge:
     """A joint of the arm in the file."""
 
@@ -98,6 +135,8 @@ class Hinge:
     """Its name in the file."""
     range_rad: tuple[float, float] | None = None
     """Angles of the simulator at which stops are."""
+    spring: Spring | None = None
+    """None of a rigid joint."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +157,7 @@ class Owner:
 
 @dataclass(frozen=True)
 class Robot:
-    """A serial arm of N hinges on a fixed base."""
+    """A serial arm of N hinges."""
 
     path: Path
     format: Format
@@ -132,11 +171,18 @@ class Robot:
     """What zygos does not use, in sentences."""
     translated: bool = False
     """Whether the file that is read is a URDF, and the one that is written an MJCF."""
+    base: Owner | None = None
+    """Of a base that floats; None where it is fixed."""
+
+    @property
+    def bodies(self) -> tuple[Owner, ...]:
+        """Those that move: the base where it floats, then the segments behind the hinges."""
+        return self.owners if self.base is None else (self.base, *self.owners)
 
     @property
     def segments(self) -> tuple[Lump, ...]:
-        """(N) all that moves with the link behind each hinge."""
-        return tuple(Lump.of(sum((one.standard for one in owner.rest), owner.own.standard)) for owner in self.owners)
+        """All that moves with each of `bodies`, without rotors on hinges of their own."""
+        return tuple(Lump.of(sum((one.standard for one in owner.rest), owner.own.standard)) for owner in self.bodies)
 
     def arm(self, period_s: float, quantum_rad: Sequence[float]) -> Arm:
         """The arm, its frames parallel to the base at zero angles, with torques that are reported before the gear.
@@ -175,6 +221,7 @@ class Robot:
                 f"{self.path}: has {len(self.hinges)} hinges, arm {arm.name} has {arm.n} joints; remedy: give the arm "
                 "file of this robot"
             )
+        self._check_joints(arm)
         for hinge, axis in zip(self.hinges, arm.axes, strict=True):
             if np.max(np.abs(hinge.axis - axis)) > _SAME_AXIS:
                 raise ZygosError(
@@ -185,13 +232,41 @@ class Robot:
         if np.max(np.abs(self.gravity - arm.gravity)) > 1e-3 * (1.0 + float(np.linalg.norm(self.gravity))):
             raise ZygosError(
                 f"{self.path}: gravity is {_said(self.gravity)} m/s^2, in arm {arm.name} {_said(arm.gravity)}; remedy: "
-                "correct the wrong one"
+                + ('<option gravity="0 0 0"/>, as it falls' if arm.free else "correct the wrong one")
             )
         self._shift(arm)
         return replace(
             self,
             hinges=tuple(replace(one, name=joint.name) for one, joint in zip(self.hinges, arm.joints, strict=True)),
         )
+
+    def _check_joints(self, arm: Arm) -> None:
+        """Refuse, with ZygosError, a base or joints of another kind than those of the arm."""
+        if arm.free != (self.base is not None):
+            floats = "floats" if arm.free else "is fixed"
+            remedy = "give the body of the base a <freejoint/>" if arm.free else 'write base = "free" in the arm file'
+            raise ZygosError(
+                f"{self.path}: the base {'is fixed' if arm.free else 'floats'}, but in arm {arm.name} it {floats}; "
+                f"remedy: {remedy}, or correct the other one"
+            )
+        for hinge, joint in zip(self.hinges, arm.joints, strict=True):
+            if joint.flexible and hinge.spring is None:
+                raise ZygosError(
+                    f"{self.path}: joint {hinge.name} is rigid, but flexible in arm {arm.name}; remedy: give it a "
+                    "rotor on a hinge of its own and a fixed tendon between the two (docs/simulators.md), or "
+                    "flexible = false in the arm file, or a model.toml as --simulation"
+                )
+            if hinge.spring is not None and not joint.flexible:
+                raise ZygosError(
+                    f"{self.path}: joint {hinge.name} has a spring, but is rigid in arm {arm.name}; remedy: write "
+                    "flexible = true in the arm file"
+                )
+            if hinge.spring is not None and abs(hinge.spring.ratio / joint.gear_ratio - 1.0) > _SAME_RATIO:
+                raise ZygosError(
+                    f"{self.path}: the spring of joint {hinge.name} is relaxed where its rotor turns "
+                    f"{hinge.spring.ratio:.6g} times as far, but gear_ratio of arm {arm.name} is {joint.gear_ratio:g}; "
+                    "remedy: correct the coefficients of the tendon or gear_ratio"
+                )
 
     def _shift(self, arm: Arm) -> Array:
         """(3,) by which the joints lie elsewhere than in the arm file, all alike: where the base stands has no effect,
@@ -214,11 +289,13 @@ class Robot:
 
     def frames(self, arm: Arm) -> list[tuple[Array, Array]]:
         """Attitude and origin of the frame of each body of the arm (N+1) in the axes of the base."""
+        shift = self._shift(arm)
         if arm.joints[0].position_m is None:
             places = np.array([hinge.anchor for hinge in self.hinges])
         else:
-            places = origins(arm) + self._shift(arm)
-        return [(frame, place) for frame, place in zip(arm.frames, np.vstack([np.zeros(3), places]), strict=True)]
+            places = origins(arm) + shift
+        base = np.zeros(3) if self.base is None else shift
+        return [(frame, place) for frame, place in zip(arm.frames, np.vstack([base, places]), strict=True)]
 
     def model(self, arm: Arm) -> Model:
         """The model of the file for an arm whose joints are its hinges: bodies, rotors, and friction as effects.
@@ -228,49 +305,64 @@ class Robot:
         frames, rotors = self.frames(arm), self.rotors(arm)
         standard = unreflected([one.standard for one in self.segments], rotors, arm, self.hinges)
         bodies = [Body("base", Quantity(0.0, 0.0, "CAD", "kg"), (0.0, 0.0, 0.0), _six(np.zeros((3, 3))))]
-        bodies += [
-            _body(owner.name, Lump.of(own).in_frame(*frame))
-            for owner, own, frame in zip(self.owners, standard, frames[1:], strict=True)
+        bodies = [
+            *(bodies if self.base is None else []),
+            *(
+                _body(owner.name, Lump.of(own).in_frame(*frame))
+                for owner, own, frame in zip(self.bodies, standard, frames[-len(standard) :], strict=True)
+            ),
         ]
         for i in range(arm.n):
             attitude, origin = frames[i]
             x, y, z = (float(v) for v in attitude.T @ (frames[i + 1][1] - origin))
             bodies[i] = replace(bodies[i], joint_xyz=arm.joints[i].position_m or (x, y, z))
         drives = tuple(
-            JointModel(joint.name, Quantity(0.0), Quantity(inertia), Quantity(np.inf), Quantity(0.0))
-            for joint, inertia in zip(arm.joints, rotors.tolist(), strict=True)
+            JointModel(
+                joint.name,
+                Quantity(0.0),
+                Quantity(inertia),
+                Quantity(np.inf if hinge.spring is None else hinge.spring.stiffness),
+                Quantity(0.0 if hinge.spring is None else hinge.spring.damping),
+            )
+            for joint, hinge, inertia in zip(arm.joints, self.hinges, rotors.tolist(), strict=True)
         )
         return Model(self.path.stem, tuple(bodies), drives, effects=self.effects(arm))
 
     def rotors(self, arm: Arm) -> Array:
-        """(N,) inertias of the rotors that stand for the armatures, kg m^2 before the gear."""
+        """(N,) inertias of the rotors, kg m^2 before the gear: those that stand for the armatures of rigid joints."""
         if arm.torque_at == "joint":
             return np.zeros(arm.n)
         ratio = arm.gear_ratios
-        return np.array([hinge.armature for hinge in self.hinges]) / np.maximum(ratio**2 - ratio, 1e-12)
+        armature = np.array([hinge.armature for hinge in self.hinges]) / np.maximum(ratio**2 - ratio, 1e-12)
+        springs = [hinge.spring and hinge.spring.inertia(hinge.axis) for hinge in self.hinges]
+        return np.array([x if own is None else own for x, own in zip(armature, springs, strict=True)])
 
     def effects(self, arm: Arm) -> tuple[Effect, ...]:
-        """Friction and damping of the file, before the gear."""
+        """Friction and damping of the file, before the gear at rigid joints, and what its springs have besides."""
         listed = []
-        for key, sizes in (
-            ("motor_coulomb", [hinge.friction for hinge in self.hinges]),
-            ("motor_viscous", [hinge.damping for hinge in self.hinges]),
-        ):
-            for joint, size, ratio in zip(arm.joints, sizes, arm.gear_ratios, strict=True):
-                if size > 0.0:
-                    listed.append(effect(key, joint.name, size / float(ratio)))
-        return tuple(listed)
+        for joint, hinge, ratio in zip(arm.joints, self.hinges, arm.gear_ratios.tolist(), strict=True):
+            sizes = [("motor_coulomb", hinge.friction / ratio), ("motor_viscous", hinge.damping / ratio)]
+            if (own := hinge.spring) is not None:
+                sizes = [
+                    ("motor_coulomb", own.friction),
+                    ("motor_viscous", own.rub * ratio),
+                    ("link_coulomb", hinge.friction),
+                    ("link_viscous", hinge.damping),
+                    ("cubic_stiffness", own.cubic),
+                    ("spring_offset", own.offset),
+                ]
+            listed += [effect(key, joint.name, size) for key, size in sizes if size != 0.0]
+        return tuple(sorted(listed, key=lambda one: one.kind.key))
 
 
-def at_stops(robot: Robot, runs: Sequence[Run]) -> list[str]:
+def at_stops(robot: Robot, runs: Sequence[Run | MeasuredRun]) -> list[str]:
     """Which joints reach a stop of the file in which runs, in sentences: zygos has no stops."""
     out = []
     for number, run in enumerate(runs, start=1):
         for j, hinge in enumerate(robot.hinges):
             if hinge.range_rad is None:
                 continue
-            encoder = run.arm.joints[j].motor_encoder
-            q = encoder.sign * (run.cycles.theta[:, j] - encoder.zero_rad) + hinge.zero_rad
+            q = _link_angle(run, j) + hinge.zero_rad
             low, high = hinge.range_rad
             share = float(np.mean((q <= low + _AT_STOP_RAD) | (q >= high - _AT_STOP_RAD)))
             if share > 0.0:
@@ -282,10 +374,22 @@ def at_stops(robot: Robot, runs: Sequence[Run]) -> list[str]:
     return out
 
 
+def _link_angle(run: Run | MeasuredRun, j: int) -> Array:
+    """(n,) angle of a joint as it was read, rad."""
+    if isinstance(run, MeasuredRun):
+        return run.samples.q[:, j]
+    joint, cycles = run.arm.joints[j], run.cycles
+    encoder, read = (
+        (joint.link_encoder, cycles.q) if joint.flexible else (joint.motor_encoder, cycles.theta)
+    )
+    return np.asarray(encoder.sign * (read[:, j] - encoder.zero_rad), dtype=np.float64)
+
+
 def check_gears(arm: Arm, named: str) -> None:
     """Refuse, with ZygosError, a gear ratio for which no armature stands for a rotor."""
     for joint in arm.joints:
-        if arm.torque_at == "rotor" and not joint.gear_ratio > 1.0 + limits.MATERIAL_DIFFERENCE.value:
+        rigid = arm.torque_at == "rotor" and not joint.flexible
+        if rigid and not joint.gear_ratio > 1.0 + limits.MATERIAL_DIFFERENCE.value:
             raise ZygosError(
                 f"{named}: gear_ratio of joint {joint.name} is {joint.gear_ratio:g}, and the inertia of a rotor "
                 "without a gear cannot be told from an armature; remedy: write a gear ratio above 1 with torques "
@@ -294,14 +398,21 @@ def check_gears(arm: Arm, named: str) -> None:
 
 
 def unreflected(segments: Sequence[Array], rotors: Array, arm: Arm, hinges: Sequence[Hinge]) -> list[Array]:
-    """(10,) of each body of zygos from those of the simulator, which has the reflected rotors (N,) in its inertials."""
+    """(10,) of each body of zygos from those of the simulator, which has the reflected rotors (N,) of rigid joints in
+    its inertials, and those of joints with springs as bodies of their own. segments: as `Robot.segments`."""
     out = [one.copy() for one in segments]
-    for i, (inertia, ratio, hinge) in enumerate(zip(rotors, arm.gear_ratios, hinges, strict=True)):
+    floats = len(out) - arm.n
+    for i, (inertia, ratio, hinge) in enumerate(zip(rotors, arm.gear_ratios, hinges, strict=True), start=floats):
         about = np.outer(hinge.axis, hinge.axis)[_UPPER]
-        out[i][4:] -= ratio * inertia * about
+        across = 0.5 * inertia * (np.eye(3)[_UPPER] - about)
+        if hinge.spring is None:
+            out[i][4:] -= ratio * inertia * about
+            carried = np.concatenate([np.zeros(4), (ratio - 1.0) * inertia * about - across])
+        else:
+            carried = hinge.spring.rotor.standard
+            carried[4:] -= inertia * about + across
         if i > 0:
-            across = 0.5 * inertia * (np.eye(3)[_UPPER] - about)
-            out[i - 1][4:] += (ratio - 1.0) * inertia * about - across
+            out[i - 1] += carried
     return out
 
 

@@ -14,6 +14,7 @@ from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.gap.adopted import Check, no_worse
+from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import explained_share
 from zygos.gap.verdicts import Remainder
 from zygos.ground.motion import Motion, TorqueRows, cutoff_hz, torque_rows
@@ -188,7 +189,7 @@ def quantities(one: Prediction, joint: int) -> list[tuple[str, Floats]]:
     ]
 
 
-def run_name(run: Run, number: int = 0) -> str:
+def run_name(run: Run | MeasuredRun, number: int = 0) -> str:
     """Short name of a run: its folder where the file's own name does not tell runs apart. number: among the measured
     ones, from 1."""
     if run.path is None:
