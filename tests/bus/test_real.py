@@ -6,11 +6,10 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from cli_support import run
+from cli_support import in_process
 
 from conftest import ROOT, need
 from zygos.demo import real
@@ -20,12 +19,6 @@ from zygos.errors import ZygosError
 KR300 = ROOT.parent / "shared" / "data" / "kr300" / "run_a.mat"
 
 Content = dict[str, Any]
-
-
-def in_process(command: list[str], **_: object) -> SimpleNamespace:
-    """`subprocess.run` of a command of zygos, in this process."""
-    assert command[1:3] == ["-m", "zygos.cli"]
-    return SimpleNamespace(returncode=run(*command[3:]), stderr="")
 
 
 @pytest.fixture(scope="module")

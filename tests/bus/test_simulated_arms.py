@@ -118,8 +118,10 @@ def moved(tree: mujoco.MjModel, seed: int, seconds: float) -> dict[str, np.ndarr
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur10e", "panda"])
-def test_friction_and_rotors_of_a_whole_arm(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("name", "command"), [("ur10e", "explain"), ("panda", "estimate")])
+def test_friction_and_rotors_of_a_whole_arm(
+    tmp_path: Path, name: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     rows, hidden = (UR10E if name == "ur10e" else PANDA), np.array(HIDDEN[name])
     cad = tmp_path / ("cad.xml" if name == "ur10e" else "cad.urdf")
     cad.write_text(mjcf(rows) if name == "ur10e" else urdf(rows))
@@ -127,7 +129,7 @@ def test_friction_and_rotors_of_a_whole_arm(tmp_path: Path, name: str, capsys: p
     for seed in range(3):
         write_columns(tmp_path / f"{seed}.npz", moved(plant, seed, 8.0))
     code = run(
-        "estimate", tmp_path / "0.npz", tmp_path / "1.npz", "--simulation", cad, "--validate", tmp_path / "2.npz",
+        command, tmp_path / "0.npz", tmp_path / "1.npz", "--simulation", cad, "--validate", tmp_path / "2.npz",
         "-o", tmp_path / "new.xml", "--json", tmp_path / "new.json",
     )  # fmt: skip
     said = capsys.readouterr()
@@ -141,12 +143,12 @@ def test_friction_and_rotors_of_a_whole_arm(tmp_path: Path, name: str, capsys: p
 
 
 def free_flight(tree: mujoco.MjModel, arm: Arm, seed: int, seconds: float) -> Run:
-    """A run of FREE_FLYER whose servo follows sums of sines with its motors, at rest as a whole."""
+    """A run of FREE_FLYER whose servo follows sums of sines with its motors."""
     data, draw, h = mujoco.MjData(tree), np.random.default_rng(seed), arm.period_s
     link, motor = (
         np.array([tree.joint(f"{name}{end}").qposadr[0] for name in ("shoulder", "elbow")]) for end in ("", "_motor")
     )
-    size, rate = draw.uniform([[0.05]], [[0.12]], (3, 2)), draw.uniform(0.8, 2.8, (3, 2))
+    size, rate = draw.uniform(0.03, 0.07, (3, 2)), draw.uniform(0.6, 1.8, (3, 2))
     phase, middle, n = draw.uniform(0.0, 6.3, (3, 2)), np.array([-0.3, -1.4]), arm.gear_ratios
     per, count = round(h / tree.opt.timestep), round(seconds / h)
 
@@ -154,7 +156,8 @@ def free_flight(tree: mujoco.MjModel, arm: Arm, seed: int, seconds: float) -> Ru
         angle = rate * t + phase
         return middle + (size * np.sin(angle)).sum(axis=0), (size * rate * np.cos(angle)).sum(axis=0)
 
-    data.qpos[link], data.qpos[motor] = wanted(0.0)[0], n * wanted(0.0)[0]
+    (data.qpos[link], data.qvel[link - 1]) = begin = wanted(0.0)
+    (data.qpos[motor], data.qvel[motor - 1]) = n * begin[0], n * begin[1]
     q, theta, tau, omega = (np.empty((count, k)) for k in (2, 2, 2, 3))
     step = 2.0 * np.pi / 2**20
     for k in range(count):
@@ -169,12 +172,13 @@ def free_flight(tree: mujoco.MjModel, arm: Arm, seed: int, seconds: float) -> Ru
 
 @pytest.mark.slow
 def test_an_arm_that_floats_on_springs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The arm of examples/gap in MuJoCo with friction at a motor, of which its file says nothing."""
+    """The arm of examples/gap in MuJoCo with damping at a motor, of which its file says nothing."""
     arm, cad, out = replace(example()[0], period_s=0.01), tmp_path / "cad.xml", tmp_path / "new.xml"
     cad.write_text(FREE_FLYER)
     save_arm(arm, tmp_path / "arm.toml")
-    plant = FREE_FLYER.replace('"elbow_motor" class="rotor"', '"elbow_motor" class="rotor" frictionloss="3"')
-    plant = plant.replace('timestep="0.001" integrator="implicitfast"', 'timestep="0.0005" integrator="RK4"')
+    plant = FREE_FLYER.replace('"elbow_motor" class="rotor"', '"elbow_motor" class="rotor" damping="0.6"')
+    # the steps of the file itself would skew angles and rates by half a step, which these sensors show
+    plant = plant.replace('timestep="0.001" integrator="implicitfast"', 'timestep="0.002" integrator="RK4"')
     tree = mujoco.MjModel.from_xml_string(plant)
     for seed in range(3):
         save_run(free_flight(tree, arm, seed, 24.0), tmp_path / f"{seed}.blf")
@@ -184,15 +188,15 @@ def test_an_arm_that_floats_on_springs(tmp_path: Path, capsys: pytest.CaptureFix
     )  # fmt: skip
     said = capsys.readouterr()
     assert code == 0, said.out + said.err
-    assert "named: The simulation lacks Coulomb friction at the motor (elbow)" in said.out
+    assert "named: The simulation lacks viscous friction at the motor (elbow)" in said.out
     assert "in MuJoCo, work predicted wrongly" in said.out and "In MuJoCo" in (tmp_path / "new.html").read_text()
     (of_run,) = json.loads((tmp_path / "new.json").read_text())["simulator"]["runs"]
     before, after = of_run["as_delivered"], of_run["corrected"]
     assert before["energy"] == pytest.approx(before["own"], rel=0.02), "the file is the model that zygos reads of it"
     assert after["energy"] < 0.05 * before["energy"]
-    assert after["forward"] < 0.2 * before["forward"]
+    assert after["forward"] < 0.5 * before["forward"]
     corrected = mujoco.MjModel.from_xml_path(str(out))
     motors = [corrected.joint(f"{name}_motor").dofadr[0] for name in ("shoulder", "elbow")]
-    assert corrected.dof_frictionloss[motors] == pytest.approx([0.0, 3.0], abs=0.03)
+    assert corrected.dof_damping[motors] == pytest.approx([0.0, 0.6], abs=0.006)
     assert corrected.tendon_stiffness == pytest.approx([3000.0, 1000.0], rel=0.01)
     assert b"<!-- examples/gap: each rotor is a body of its own -->" in out.read_bytes()

@@ -14,10 +14,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from cli_support import run
+from cli_support import in_process, run
 from telemetry_support import drawn_signals
 
 from conftest import ROOT
+from zygos.demo import real
 from zygos.demo.real import explained, learn_pendulum
 from zygos.errors import ZygosError
 from zygos.files.tables import write_columns
@@ -360,8 +361,9 @@ def test_a_table_that_is_no_run_of_the_robot(
 
 
 @pytest.mark.slow
-def test_the_measured_pendulum_is_corrected(tmp_path: Path) -> None:
+def test_the_measured_pendulum_is_corrected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """MuJoCo with the corrected file predicts runs that were kept apart as zygos does, and far better than before."""
+    monkeypatch.setattr(real.subprocess, "run", in_process)
     found, learned = learn_pendulum(tmp_path)
     gap, simulator = explained(learned, found, tmp_path)
     arm = learned[0].arm
@@ -385,6 +387,7 @@ def test_the_measured_pendulum_is_corrected(tmp_path: Path) -> None:
             after.energy < (0.4 if name.endswith(".xml") else 0.7) * before.energy
             for before, after in zip(own.measured[0].runs, own.measured[-1].runs, strict=True)
         ), name
+    assert of_urdf.written_as(tmp_path / "again.xml").measured is own.measured, "it is measured once"
 
 
 def flown(path: Path, seed: int) -> dict[str, np.ndarray]:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 from runs_support import trajectory_of
 
@@ -17,3 +19,9 @@ def run(*arguments: object) -> int:
     with pytest.raises(SystemExit) as end:
         main([str(argument) for argument in arguments])
     return int(end.value.code or 0)
+
+
+def in_process(command: list[str], **_: object) -> SimpleNamespace:
+    """`subprocess.run` of a command of zygos, in this process."""
+    assert command[1:3] == ["-m", "zygos.cli"]
+    return SimpleNamespace(returncode=run(*command[3:]), stderr="")

@@ -163,9 +163,7 @@ def test_only_what_is_learned_changes(tmp_path: Path) -> None:
     values[list(arm.parameter_names).index("k2")] *= 0.9
     effects = (Effect(CATALOGUE["motor_coulomb"], "elbow", 2.0),)
     new = contents(robot, corrected(robot, arm, Stage("corrected", values, effects), []).robot, out)[out]
-    changed = [
-        (a, b) for a, b in zip(path.read_bytes().splitlines(), new.splitlines(), strict=True) if a != b
-    ]
+    changed = [(a, b) for a, b in zip(path.read_bytes().splitlines(), new.splitlines(), strict=True) if a != b]
     assert [b.strip() for _, b in changed] == [
         b'<joint name="elbow_motor" class="rotor" frictionloss="2"/>',
         b'<fixed name="elbow_spring" stiffness="900" damping="75">',
@@ -183,7 +181,7 @@ SPRING = 'stiffness="1000" damping="75"'
         ('coef="0.02"/><joint joint="elbow"', 'coef="0.03"/><joint joint="elbow"', "turns 33.3333 times as far"),
         ('coef="0.02"/><joint joint="elbow"', 'coef="-0.02"/><joint joint="elbow"', "turns the other way"),
         (SPRING, 'damping="75"', "tendon elbow_spring acts on the joints of the arm, and ties none"),
-        (f"<fixed name=\"elbow_spring\" {SPRING}>", '<fixed name="elbow_spring">', "joint elbow is rigid, but flexible"),
+        (f'<fixed name="elbow_spring" {SPRING}>', '<fixed name="elbow_spring">', "joint elbow is rigid, but flexible"),
         (SPRING, 'stiffness="1000" springlength="0 0.1"', "is tied by a tendon with a gap"),
         (SPRING, 'stiffness="1000 3"', "is tied by a tendon with a polynomial"),
         (SPRING, 'stiffness="1000 0 3" springlength="0.1"', "a cubic stiffness and a springlength"),
@@ -209,7 +207,7 @@ def test_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
 
 def test_an_arm_that_a_file_alone_does_not_describe(tmp_path: Path) -> None:
     path, arm = file_of(tmp_path, "planar"), arm_of("planar")
-    with pytest.raises(ZygosError, match="its arm floats or has springs.*; remedy: give the arm file with --arm"):
+    with pytest.raises(ZygosError, match=r"its arm floats or has springs.*; remedy: give the arm file with --arm"):
         read_robot(path, None, 2)
     rigid = replace(arm, joints=tuple(replace(joint, flexible=False) for joint in arm.joints))
     with pytest.raises(ZygosError, match="joint shoulder has a spring, but is rigid in arm gap; remedy"):

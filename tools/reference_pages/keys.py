@@ -169,7 +169,7 @@ EFFECTS = "\n\n".join(
             ],
         ),
         "### In the files of other simulators",
-        "What `zygos explain` writes of an effect into the MJCF or URDF of an arm with rigid joints "
+        "What `zygos explain` writes of an effect into the MJCF of an arm, or the URDF of one with rigid joints "
         "([simulators](../simulators.md)). *Exact* and *approximate* are in the file. A *snippet* is Python for the "
         "loop that controls the simulation, written beside the file. *No*: it is no part of a robot, but of its "
         "sensors, of its motion, or of an instant.",

@@ -41,16 +41,16 @@ def check_grounded(case: Case, use: list[int], broken: set[int]) -> None:
     if _currents(case):
         declared = law.with_fitted_scales(declared, use)
     best = _best_reading(case, law, declared, use)
-    late = _delay(case, law, declared, use, broken)
+    late = known = _delay(case, law, declared, use, broken)
     if late is not None and _gain(late, law.with_rows) > law.score(declared).total - law.score(best).total:
-        law = _correct_delay(case, law, late, broken)
+        law, known = _correct_delay(case, law, late, broken), None
         best = _best_reading(case, law, declared, use)
     kept = declared
     if best != declared and _closes(law, best, use):
         _find_reading(case, law, declared, best)
-        kept = best
+        kept, known = best, None
     for _ in use if late is not None or kept != declared else ():
-        late = _delay(case, law, kept, use, broken)
+        late, known = known or _delay(case, law, kept, use, broken), None
         if late is None:
             break
         law = _correct_delay(case, law, late, broken)

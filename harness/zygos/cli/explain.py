@@ -342,8 +342,10 @@ def finish(
     model = found.model
 
     def answer(draw: bool) -> Answer:
-        answer_of = ground_sections.answer_of if isinstance(found, GroundExplanation) else sections.answer_of
-        whole = answer_of(found, planned=motion, beside=remarks, draw=draw)
+        if isinstance(found, GroundExplanation):
+            whole = ground_sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
+        else:
+            whole = sections.answer_of(found, planned=motion, beside=remarks, draw=draw)
         return whole if own is None else own.beside(whole)
 
     def content() -> dict[str, Any]:

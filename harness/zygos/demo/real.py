@@ -284,7 +284,8 @@ def explained(
     files += [("recording", example / f"{name}.blf") for name in (*LEARNED, *LIMITS)]
     write_page(folder / "gap.html", own.beside(answer_of(gap, draw=True)), provenance(["real"], files))
     delivered, corrected = own.measured[0].runs, own.measured[-1].runs
-    scores = [(run, a.score, b.score) for run, a, b in zip(own.runs, delivered, corrected, strict=True)]
+    stages = zip(own.runs, delivered, corrected, strict=True)
+    scores = [(run, a.score, b.score) for run, a, b in stages if a.score is not None and b.score is not None]
     write_picture(folder / "gap.svg", scores, "MuJoCo")
     return gap, own
 

@@ -292,12 +292,13 @@ _SIDES: tuple[_Side, ...] = ("link", "motor")
 
 _FRICTIONLOSS = Held(
     "approximate",
-    "`frictionloss` of the joint, or of the hinge of its rotor; soft constraints round the sign off at rates below 2 mrad/s",
+    "`frictionloss` of the joint, or of the hinge of its rotor; soft constraints round the sign off at rates below "
+    "2 mrad/s",
 )
 _FRICTION = Held("approximate", "`friction` of `<dynamics>`, as exact as its simulator")
 _REFLECTED = Held(
     "exact",
-    "`armature` and inertials of link and carrier together, or the hinge of a rotor (docs/simulators.md)",
+    "`armature` and inertials of link and carrier together; the hinge of a rotor at a joint with a spring",
 )
 _DAMPING = Held("exact", "`damping` of the joint, or of the hinge of its rotor")
 _CUBIC = Held("exact", "third number of `stiffness` of the tendon, from MuJoCo 4.0 on")

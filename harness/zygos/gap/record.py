@@ -156,8 +156,11 @@ def _arc_length(lengths: Sequence[int], period_s: float) -> int:
 
 
 def smoothed_states(arm: Arm, readings: Readings, derivative: int = 0) -> State:
-    """Smoothed states (..., A, instants, N) of arcs (docs/theory.md, "Smoother and bandwidth test"). The base rate of a
-    fixed base is (..., A, instants, 0). derivative: 1 for what changes a state, rates and accelerations."""
+    """Smoothed states (..., A, instants, N) of arcs (docs/theory.md, "Smoother and bandwidth test").
+
+    The base rate of a fixed base is (..., A, instants, 0). derivative: 1 for the changes of the states, which are rates
+    and accelerations.
+    """
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
     parts: list[Array] = []
     for signals, offsets in ((readings.q, _late(arm, "link")), (readings.theta, _late(arm, "motor"))):
@@ -172,7 +175,7 @@ def smoothed_states(arm: Arm, readings: Readings, derivative: int = 0) -> State:
 
 
 def smoothed_torques(arm: Arm, readings: Readings) -> Array:
-    """(..., A, instants, N) torques at the instants of `smoothed_states`, smoothed as angles are, Nm before the gear."""
+    """(..., A, instants, N) torques at the instants of `smoothed_states`, smoothed likewise, Nm before the gear."""
     # what is in force from SYNC to SYNC is that of the middle
     return _filter(readings.tau, coefficients(arm.smoother.points, arm.smoother.order, -0.5), -2)
 

@@ -67,7 +67,7 @@ class Corrected:
 
 
 def corrected(robot: Robot, arm: Arm, stage: Stage, rows: Sequence[TorqueRows]) -> Corrected:
-    """The robot with the parameters and effects of a model. rows: of the runs of an arm on the ground, whose torques say
+    """The robot with the parameters and effects of a model. rows: of runs of an arm on the ground, whose torques say
     what matters."""
     held, lost = kept_by(robot.format, arm, stage.effects)
     if not arm.grounded:
@@ -145,7 +145,7 @@ def _hinges(robot: Robot, drives: InJoints, armature: Sequence[float]) -> Iterat
 def _with_springs(
     robot: Robot, arm: Arm, stage: Stage, held: tuple[Effect, ...], lost: tuple[Effect, ...]
 ) -> Corrected:
-    """The robot of an arm that floats or has flexible joints, whose bodies have the parameters of a model themselves."""
+    """The robot of an arm that floats or has flexible joints, whose bodies have the parameters of a model."""
     given = dict(zip(arm.parameter_names, stage.values.tolist(), strict=True))
     rotors, drives = robot.rotors(arm), in_joints(arm, held)
     for j in range(arm.n):

@@ -119,9 +119,8 @@ class InSimulator:
             + f" (zygos {number(100.0 * self.measured[-1].runs[k].own, 3)})"
             for k, run in enumerate(self.runs)
         ]
-        return (
-            f"in MuJoCo, work predicted wrongly, %, as delivered → refit → corrected: {', '.join(each)}" if each else ""
-        )
+        stages = " → ".join(one.name for one in self.measured)
+        return f"in MuJoCo, work predicted wrongly, %, {stages}: {', '.join(each)}" if each else ""
 
     def section(self) -> Section | None:
         """The section of the answer."""
@@ -290,6 +289,11 @@ class FileExplanation:
         """The corrected file, measured. Errors: Undecided where no model is to be written."""
         return self._measured(self.robot)
 
+    @cached_property
+    def _translated(self) -> InSimulator:
+        """The MJCF of a URDF, measured, wherever it is written."""
+        return self._measured(for_output(self.robot, self.robot.path.with_name("corrected.xml")))
+
     def _measured(self, robot: Robot) -> InSimulator:
         own = explained_in(robot, self.found)
         if own is None:
@@ -299,7 +303,7 @@ class FileExplanation:
     def written_as(self, out: Path) -> InSimulator:
         """The corrected file in the format of a name, measured. Errors: as `to_mjcf`."""
         robot = for_output(self.robot, out)
-        return self._measured(robot) if robot.translated else self.simulator
+        return replace(self._translated, robot=robot) if robot.translated else self.simulator
 
     def to_mjcf(self) -> str:
         """The text of the corrected MJCF, beside the file that was read; also of a URDF. Errors: Undecided where no

@@ -39,7 +39,7 @@ def kept_by(file: Format, arm: Arm, effects: Sequence[Effect]) -> tuple[tuple[Ef
 
 
 def in_snippet(lost: Sequence[Effect]) -> list[Effect]:
-    """Those that lines in the control loop can add: errors of sensors and the state of a base are no part of a robot."""
+    """Those that lines in the control loop can add; errors of sensors and a base's momentum are no part of a robot."""
     return [one for one in lost if one.kind.mjcf.how != "no" or one.kind.key == "rotor_coupling"]
 
 

@@ -170,8 +170,7 @@ def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document
             members[at].append(body)
     named = ["the base", *(f"what joint {hinge.name} moves" for hinge in hinges)]
     owners = [
-        _owner(path, view, bodies, said)
-        for said, bodies in zip(named[-len(members) :], members.values(), strict=True)
+        _owner(path, view, bodies, said) for said, bodies in zip(named[-len(members) :], members.values(), strict=True)
     ]
     base = owners.pop(0) if root is not None else None
     known = {*chosen, *(one.number for one in springs.values())}
@@ -250,9 +249,7 @@ def springs_of(path: Path, mujoco: Any, tree: Any, chosen: Sequence[int]) -> dic
         if joint not in chosen or other in chosen or tree.jnt_type[other] != _HINGE or tree.tendon_stiffness[t] == 0.0:
             continue
         if joint in out:
-            raise ZygosError(
-                f"{path}: joint {tree.joint(joint).name} has two springs; remedy: keep one of the tendons"
-            )
+            raise ZygosError(f"{path}: joint {tree.joint(joint).name} has two springs; remedy: keep one of the tendons")
         out[joint] = Tie(t, other, own, behind)
     return out
 
@@ -278,7 +275,9 @@ def _spring(path: Path, view: _View, tie: Tie, joint: int, carriers: Sequence[in
     if moves_with(int(tree.body_parentid[body])) != carrier:
         refuse("is not carried by the body before the joint", "put its body there")
     if np.any(tree.body_parentid == body) or tree.body_jntnum[body] != 1:
-        refuse("carries a body or has a second joint", "keep one hinge, and fix other bodies to the link or its carrier")
+        refuse(
+            "carries a body or has a second joint", "keep one hinge, and fix other bodies to the link or its carrier"
+        )
     axis, apart = data.xaxis[joint], data.xanchor[r] - data.xanchor[joint]
     if np.dot(axis, data.xaxis[r]) < 1.0 - _SAME or np.linalg.norm(np.cross(axis, apart)) > _SAME:
         refuse("does not turn about the axis of the joint", "give both hinges one axis, with the same sign")

@@ -379,9 +379,7 @@ def _link_angle(run: Run | MeasuredRun, j: int) -> Array:
     if isinstance(run, MeasuredRun):
         return run.samples.q[:, j]
     joint, cycles = run.arm.joints[j], run.cycles
-    encoder, read = (
-        (joint.link_encoder, cycles.q) if joint.flexible else (joint.motor_encoder, cycles.theta)
-    )
+    encoder, read = (joint.link_encoder, cycles.q) if joint.flexible else (joint.motor_encoder, cycles.theta)
     return np.asarray(encoder.sign * (read[:, j] - encoder.zero_rad), dtype=np.float64)
 
 
