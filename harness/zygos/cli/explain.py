@@ -463,9 +463,9 @@ def command(
     NEW.toml is not written, because nothing is decided.
 
     With the MJCF or URDF of a simulator as --simulation, -o NEW.xml or NEW.urdf writes that file with the inertials,
-    armatures, friction and damping that were found; every other byte stays as it is. NEW.xml from a URDF is a new MJCF.
-    The gap is measured in MuJoCo as well. Without an arm file, runs are tables of t, q1 .. qN and tau1 .. tauN at the
-    joints (docs/simulators.md).
+    armatures, friction, damping and springs that were found; every other byte stays as it is. NEW.xml from a URDF is a
+    new MJCF. The gap is measured in MuJoCo as well. Without an arm file, runs are tables of t, q1 .. qN and
+    tau1 .. tauN at the joints (docs/simulators.md).
 
     Example: zygos explain A.blf B.blf --simulation examples/gap/cad.toml --validate C.blf -o out/new.toml
     """
