@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The hand-written pages: every link leads somewhere, and README stays a first page."""
+"""The hand-written pages: every link leads somewhere, README stays a first page, and all of them can be read."""
 
 from __future__ import annotations
 
@@ -13,6 +13,14 @@ from conftest import ROOT
 
 README = ROOT / "README.md"
 PAGES = sorted({README, ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")})
+
+REFERENCE = {"conventions", "glossary", "snapshot", "wire"}
+EVIDENCE = {
+    "accuracy", "assurance", "cost", "laboratory", "mission", "mutants", "paper-tables", "results", "soak", "trials",
+    "upset", "verification",
+}  # fmt: skip
+"""Pages that are looked up, and not read from one end to the other. docs/reference is generated."""
+MOST_WORDS = 40_000
 
 
 def links(page: Path) -> list[str]:
@@ -55,6 +63,34 @@ def test_readme_is_short_and_begins_with_a_picture() -> None:
     text = README.read_text()
     assert len(text.split()) <= 1200
     assert "![" in "\n".join(text.splitlines()[:40])
+
+
+def listed(section: str) -> set[str]:
+    """The pages that docs/README.md has in one of its sections."""
+    text = (ROOT / "docs" / "README.md").read_text().partition(f"\n## {section}\n")[2].partition("\n## ")[0]
+    return {name for name in re.findall(r"\]\(([\w-]+)\.md\)", text)}
+
+
+def words(text: str) -> int:
+    """Words of a page: the bars of tables and the signs of formulas are none, and tables that a command writes are not
+    counted."""
+    text = re.sub(r"<!-- [^\n]*\bwrit[^\n]*-->.*?<!-- (?:to here|end of \w+) -->", "", text, flags=re.S)
+    return sum(any(sign.isalnum() for sign in word) for word in text.split())
+
+
+def test_reference_and_evidence_are_where_they_are_listed() -> None:
+    assert (listed("Reference"), listed("Evidence")) == (REFERENCE, EVIDENCE)
+
+
+def test_the_hand_written_pages_can_be_read() -> None:
+    pages = [page for page in (ROOT / "docs").glob("*.md") if page.stem not in REFERENCE | EVIDENCE]
+    counted = {page.name: words(page.read_text()) for page in (README, *pages)}
+    longest = sorted(counted, key=counted.__getitem__)[-3:]
+    assert sum(counted.values()) <= MOST_WORDS, f"remedy: say a thing once; the longest pages are {longest}"
+
+
+def test_what_is_a_word() -> None:
+    assert words("# Two words\n| a | 1 |\n<!-- written by make times -->\n| b | 2 |\n<!-- end of times -->\n") == 4
 
 
 def test_a_dead_link_is_seen(tmp_path: Path) -> None:
