@@ -99,8 +99,8 @@ class Encoder:
 
     @property
     def sigma_rad(self) -> float:
-        """Standard deviation of a uniform error one quantum wide, rad (Nanos & Papadopoulos eq. (28); docs/paper.md,
-        erratum 4)."""
+        """Standard deviation of a uniform error one quantum wide, rad (Nanos & Papadopoulos eq. (28);
+        docs/paper-tables.md, erratum 4)."""
         return self.quantum_rad / math.sqrt(12.0)
 
     @property

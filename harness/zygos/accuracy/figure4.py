@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Figure 4 of the paper: motions predicted with true and with estimated parameters (docs/paper.md, erratum 10).
+"""Figure 4 of the paper: motions predicted with true and with estimated parameters (docs/paper-tables.md, erratum 10).
 
 Each parameter set, the paper's own EB estimates among them, predicts a free motion under the torques (50). Two further
 predictions show whether such a motion is chaotic: one with a slightly different start, and one with parameters changed

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 
 PRINTED_VARIANCE = 0.003 / 12.0
-"""Variance of an angle, rad^2, as in (48) (docs/paper.md, erratum 4)."""
+"""Variance of an angle, rad^2, as in (48) (docs/paper-tables.md, erratum 4)."""
 
 
 FINER_RAD = 0.0021

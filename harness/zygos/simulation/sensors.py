@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sensor readings of a motion (Nanos & Papadopoulos eqs. (28)-(32); docs/paper.md, errata and noise).
+"""Sensor readings of a motion (Nanos & Papadopoulos eqs. (28)-(32); docs/paper.md, noise).
 
 The error of an encoder is Gaussian with variance quantum^2/12, or its reading is rounded to the quantum. The gyro has
 white noise and a bias with random walk. The reported torque has white noise. The errors of one seed are the same bits

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Energy balance in batch, Nanos & Papadopoulos eqs. (37)-(39) with the errata of docs/paper.md.
+"""Energy balance in batch, Nanos & Papadopoulos eqs. (37)-(39) with the errata of docs/paper-tables.md.
 
 Rows are cumulative from a known start: the work of the motors since the start equals the change of kinetic and elastic
 energy plus the energy dissipated. The dissipation is added (eqs. (38) and (39) subtract it), and the gear ratio is part
