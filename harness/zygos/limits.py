@@ -64,9 +64,6 @@ PLAIN_WRONG = Limit("plain wrong", 0.25, "1", "convention",
     "Share of the work, or of the torques, of an untouched run that it may then predict wrongly.")
 STRETCH_S = Limit("stretch s", 0.5, "s", "convention",
     "Length of the stretches over which errors are compared.")
-NEAR_WORK = Limit("near work", 0.01, "1", "convention",
-    "Share of the work that the file of a simulator may predict wrongly beyond zygos' own equations in any case: noise "
-    "makes parameters that no bodies have.")
 CLOSED_TORQUES = Limit("closed torques", 5.0, "1", "trial",
     "The same where offsets or gains of the torques are taken from the runs: they are not exact, and their errors "
     "alone have reached three.")

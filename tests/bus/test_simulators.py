@@ -303,10 +303,13 @@ def test_a_place_where_the_file_would_not_work(
 
 
 @pytest.mark.parametrize(
-    ("there", "own", "good"), [(0.21, 0.2, True), (0.23, 0.2, False), (0.009, 0.001, True), (0.02, 0.001, False)]
+    ("there", "own", "floor", "good"),
+    [(0.21, 0.2, 0.001, True), (0.23, 0.2, 0.001, False), (0.009, 0.002, 0.008, True), (0.011, 0.002, 0.008, False)],
 )
-def test_a_file_is_written_where_mujoco_predicts_as_zygos_does(there: float, own: float, good: bool) -> None:
-    assert Simulated(there, own, forward=0.0).good is good
+def test_a_file_is_written_where_mujoco_predicts_as_zygos_does(
+    there: float, own: float, floor: float, good: bool
+) -> None:
+    assert Simulated(there, own, floor, forward=0.0).good is good
 
 
 def test_a_stop_that_is_reached_is_told(tmp_path: Path) -> None:

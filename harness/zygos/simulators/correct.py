@@ -26,7 +26,7 @@ from zygos.simulators.robot import Hinge, Lump, Owner, Robot, armatures, unrefle
 
 Array = NDArray[np.float64]
 
-_PRECISIONS = (1e1, 1e2, 1e3, 1e4)
+_PRECISIONS = (1e1, 1e2, 1e3, 1e4, 1e5)
 """Weights, step by step, of an error of all torques in units of their size, beside a body that is e times another."""
 _STEPS = 200
 """Most evaluations for each of these weights."""

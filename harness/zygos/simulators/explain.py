@@ -27,7 +27,7 @@ from zygos.report.answer import Answer, Items, Section, Text, section, table
 from zygos.simulators.correct import Corrected, corrected
 from zygos.simulators.file import contents, for_output, read_robot, simulator, write
 from zygos.simulators.held import in_snippet, snippet
-from zygos.simulators.measure import Course, Simulated, simulated
+from zygos.simulators.measure import Simulated, floor_of, simulated
 from zygos.simulators.robot import Robot, at_stops
 
 
@@ -65,12 +65,12 @@ class InSimulator:
     def check(self, out: Path) -> None:
         """Refuse, with Undecided, to write a file that does not do what was found."""
         if not self.good:
-            worst = max(one.ratio for one in self.measured[-1].runs)
+            worst = max((one for one in self.measured[-1].runs if not one.good), key=lambda one: one.ratio)
             raise Undecided(
-                f"{out} not written: in MuJoCo it leaves {number(worst, 3)} times the error of zygos' own equations, "
-                f"and may leave {limits.NOT_WORSE.value:g} times, or {100.0 * limits.NEAR_WORK.value:g} % of the work "
-                "more; remedy: a model of zygos as output (-o MODEL.toml), and a smaller time constant of friction "
-                "(solreffriction) in the simulator"
+                f"{out} not written: in MuJoCo it leaves {number(worst.ratio, 3)} times the error of zygos' own "
+                f"equations, and may leave {limits.NOT_WORSE.value:g} times, or what noise alone leaves of the work, "
+                f"{number(100.0 * worst.floor, 2)} %, more; remedy: a model of zygos as output (-o MODEL.toml), and a "
+                "smaller time constant of friction (solreffriction) in the simulator"
             )
 
     def contents(self, out: Path) -> dict[Path, bytes]:
@@ -169,6 +169,7 @@ class InSimulator:
             "runs": [
                 {
                     "run": run,
+                    "floor": self.measured[-1].runs[k].floor,
                     **{
                         one.name.replace(" ", "_"): {
                             "energy": one.runs[k].energy,
@@ -221,11 +222,12 @@ def in_simulator(
             by_refit = corrected(robot, arm, refit, rows)
             stages.append((by_refit.robot, by_refit.stage("refit")))
         stages.append((found.robot, found.stage("corrected")))
-        motions = [one if isinstance(one, Prediction) else Course(one) for one in predictions]
+        floors = [floor_of(one, stages[-1][1]) for one in predictions]
         for changed, stage in stages:
             own = simulator(robot, arm, changed, folder)
             integrator = own.integrator
-            measured.append(Measured(stage.name, tuple(simulated(own, one, stage) for one in motions)))
+            runs_of = zip(predictions, floors, strict=True)
+            measured.append(Measured(stage.name, tuple(simulated(own, one, stage, least) for one, least in runs_of)))
     stops = tuple(at_stops(robot, [*runs, *untouched]))
     return InSimulator(robot, arm, found, tuple(measured), tuple(map(run_name, untouched)), stops, integrator)
 

@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 
 from zygos import limits
 from zygos.arm import Arm
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.equations import from_parameters
+from zygos.dynamics.joints import Drives
+from zygos.errors import Undecided
 from zygos.gap.ground.predictions import Prediction, Stage
 from zygos.gap.record import MeasuredRun, smoothed_states, smoothed_torques
+from zygos.gap.twin import follow, measure
 from zygos.ground.motion import TorqueRows
 from zygos.ground.score import Score, beside, rms, scored, scored_torques
 from zygos.simulators.mjcf import load_mujoco
@@ -33,6 +37,8 @@ class Simulated:
     """What `mj_inverse` on the filtered motion of the run leaves of the work in one second, as share of that work."""
     own: float
     """What zygos' own equations leave of it."""
+    floor: float
+    """What noise, quanta and filters alone leave of the work of a twin of the run."""
     forward: float
     """Root mean square error of the angles after half a second of the user's integrator with the measured torques, as
     share of the way that the joints went; NaN where it diverges."""
@@ -47,7 +53,7 @@ class Simulated:
     @property
     def good(self) -> bool:
         """Whether MuJoCo predicts the work nearly as zygos does."""
-        return self.energy <= max(limits.NOT_WORSE.value * self.own, self.own + limits.NEAR_WORK.value)
+        return self.energy <= max(limits.NOT_WORSE.value * self.own, self.own + self.floor)
 
 
 @dataclass(frozen=True)
@@ -67,9 +73,8 @@ class Piece:
 class Course:
     """The smoothed motion of an arm that floats or has flexible joints: A arcs of m instants."""
 
-    def __init__(self, record: MeasuredRun) -> None:
-        """Of a run."""
-        arm, readings = record.arm, record.readings()
+    def __init__(self, arm: Arm, readings: Readings) -> None:
+        """Of the readings of a run."""
         half, rigid = arm.smoother.points // 2, np.array([not joint.flexible for joint in arm.joints])
         # the motor of a rigid joint turns with its link
         self.state, self.change = (
@@ -95,10 +100,9 @@ class Course:
         whole = power.shape[1] // window * window
         return np.asarray(power[:, :whole].reshape(-1, window).sum(axis=1) * h, dtype=np.float64)
 
-    def left(self, stage: Stage) -> Array:
+    def left(self, own: Drives) -> Array:
         """(windows,) J that zygos' own equations leave of the work."""
         now, then = self.state, self.change
-        own = from_parameters(self.arm, stage.values, stage.effects)
         base, link, motor = own.accelerations(now.q, now.theta, now.base, now.qd, now.thetad, self.tau)
         off = (then.base - base if self.arm.free else now.base, then.qd - link, then.thetad - motor)
         rates = (now.base, now.qd, now.thetad)
@@ -242,12 +246,12 @@ class Simulator:
         return float(np.sqrt(np.mean(np.square(lost)) / np.mean(np.square(gone))))
 
 
-def simulated(simulator: Simulator, one: Prediction | Course, stage: Stage) -> Simulated:
-    """An untouched run by a file. stage: what the file holds, for zygos' own equations."""
-    if isinstance(one, Course):
-        work, h = rms(one.work()), one.arm.period_s
-        lost = [rms(left) / work for left in (simulator.left(one), one.left(stage))]
-        return Simulated(lost[0], lost[1], simulator.forward(one.pieces(), h))
+def simulated(simulator: Simulator, one: Prediction | MeasuredRun, stage: Stage, floor: float) -> Simulated:
+    """An untouched run by a file. stage: what the file holds, for zygos' own equations; floor: as of `floor_of`."""
+    if isinstance(one, MeasuredRun):
+        course, model = Course(one.arm, one.readings()), from_parameters(one.arm, stage.values, stage.effects)
+        there, here = (rms(left) / rms(course.work()) for left in (simulator.left(course), course.left(model)))
+        return Simulated(there, here, floor, simulator.forward(course.pieces(), one.arm.period_s))
     rows, arm = one.rows, one.run.arm
     bodies, friction = simulator.inverse(rows.state.q, rows.state.qd, rows.acceleration)
     score = scored_torques(one.run, stage.name, rows, bodies + rows.filtered(friction), bodies + friction, one.motion)
@@ -256,4 +260,17 @@ def simulated(simulator: Simulator, one: Prediction | Course, stage: Stage) -> S
     offset = np.array([joint.offset_nm for joint in score.joints])
     error = simulator.forward(pieces_of(rows, rows.tau - offset), rows.period_s)
     score, own = (beside(found, one.plain) for found in (score, own))
-    return Simulated(score.arm_energy_share, own.arm_energy_share, error, score)
+    return Simulated(score.arm_energy_share, own.arm_energy_share, floor, error, score)
+
+
+def floor_of(one: Prediction | MeasuredRun, stage: Stage) -> float:
+    """As `Simulated.floor`, with the model that was found; 0 where that does not follow the run."""
+    if isinstance(one, Prediction):
+        return one.floor.arm_energy_share
+    own = from_parameters(one.arm, stage.values, stage.effects)
+    try:
+        (twin,) = follow(own, [one])
+    except Undecided:
+        return 0.0
+    course = Course(one.arm, measure(twin, 0))
+    return rms(course.left(own)) / rms(course.work())
