@@ -43,6 +43,7 @@ def test_the_example_of_the_manual(pytestconfig: pytest.Config, dut: Dut, tmp_pa
     manual = (ROOT / "docs" / "hil.md").read_text(encoding="utf-8")
     for name in ("conftest.py", "test_flight_computer.py"):
         text = (ROOT / "examples" / "bench" / name).read_text(encoding="utf-8")
+        text = text.removeprefix("# SPDX-License-Identifier: MIT\n").lstrip("\n")
         assert "".join(f"    {line}".rstrip() + "\n" for line in text.splitlines()) in manual
 
 
