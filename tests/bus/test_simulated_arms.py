@@ -170,6 +170,18 @@ def free_flight(tree: mujoco.MjModel, arm: Arm, seed: int, seconds: float) -> Ru
     return make_run(arm, q=step * np.round(q / step), theta=step * np.round(theta / step), tau=tau, omega=omega)
 
 
+def test_no_plain_estimate_is_written_into_the_file_of_such_an_arm(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cad, table = tmp_path / "cad.xml", tmp_path / "run.npz"
+    cad.write_text(FREE_FLYER)
+    save_arm(example()[0], tmp_path / "arm.toml")
+    write_columns(table, {"t": np.arange(50) / 100.0})
+    assert run("estimate", table, "--simulation", cad, "-o", tmp_path / "new.xml") == 2
+    assert "arm gap floats or has flexible joints" in (said := " ".join(capsys.readouterr().err.split()))
+    assert "remedy: `zygos explain --simulation" in said and not (tmp_path / "new.xml").exists()
+
+
 @pytest.mark.slow
 def test_an_arm_that_floats_on_springs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The arm of examples/gap in MuJoCo with damping at a motor, of which its file says nothing."""

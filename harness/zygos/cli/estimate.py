@@ -175,6 +175,12 @@ def _correct(
         files.append(("arm", chosen))
         check_outputs([out, wanted.json, wanted.report], [*read, chosen, simulation])
         arm = load_arm(chosen)
+        if not arm.grounded:
+            raise ZygosError(
+                f"--simulation: arm {arm.name} floats or has flexible joints, and its estimate is not written into the "
+                f"file of a simulator; remedy: `zygos explain --simulation {simulation}`, or leave it out, with -o "
+                "MODEL.toml"
+            )
         robot = read_robot(simulation, arm)
         recorded = read_runs(read, arm_file, chosen, arm, own_noise=True)
     else:
