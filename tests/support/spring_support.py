@@ -43,7 +43,8 @@ FREE_FLYER = """<mujoco model="free-flyer">
 """
 """The arm of examples/gap, in another place and attitude."""
 AXES = ("0 0 1", "0 1 0", "1 0 0")
-IN_SPRINGS = ("motor_viscous", "link_viscous", "motor_coulomb", "link_coulomb", "cubic_stiffness", "spring_offset")
+IN_SPRINGS = ("motor_viscous", "link_viscous", "motor_coulomb", "link_coulomb", "cubic_stiffness", "spring_offset",
+              "backlash")  # fmt: skip
 """Effects that the file of a flexible joint holds."""
 
 

@@ -88,8 +88,13 @@ def heavier(arm: Arm, model: Model) -> Model:
     stiffness = model.joints[0].stiffness.value
     effects = tuple(
         # a tendon has no offset beside a cubic stiffness
-        Effect(CATALOGUE[key], arm.joints[-1 if key == "spring_offset" else 0].name, size * stiffness)
-        for key, size in zip(IN_SPRINGS, (2e-4, 0.01, 1e-3, 0.02, 10.0, 0.01), strict=True)
+        Effect(
+            CATALOGUE[key],
+            arm.joints[-1 if key == "spring_offset" else 0].name,
+            size * stiffness,
+            shape=0.015 if key == "backlash" else None,
+        )
+        for key, size in zip(IN_SPRINGS, (2e-4, 0.01, 1e-3, 0.02, 10.0, 0.01, 0.6), strict=True)
     )
     return replace(model, bodies=bodies, joints=joints, effects=effects)
 
@@ -180,11 +185,12 @@ SPRING = 'stiffness="1000" damping="75"'
         ('gravity="0 0 0"', 'gravity="0 0 -9"', r"in arm gap \[0, 0, 0\]; remedy: <option gravity"),
         ('coef="0.02"/><joint joint="elbow"', 'coef="0.03"/><joint joint="elbow"', "turns 33.3333 times as far"),
         ('coef="0.02"/><joint joint="elbow"', 'coef="-0.02"/><joint joint="elbow"', "turns the other way"),
-        (SPRING, 'damping="75"', "tendon elbow_spring acts on the joints of the arm, and ties none"),
+        (SPRING, 'damping="75"', "is tied by a tendon without stiffness"),
+        (SPRING, 'frictionloss="1"', "tendon elbow_spring acts on the joints of the arm, and ties none"),
         (f'<fixed name="elbow_spring" {SPRING}>', '<fixed name="elbow_spring">', "joint elbow is rigid, but flexible"),
-        (SPRING, 'stiffness="1000" springlength="0 0.1"', "is tied by a tendon with a gap"),
+        (SPRING, 'stiffness="1000" springlength="0 0.1"', "with a gap .* has no tendon without one"),
         (SPRING, 'stiffness="1000 3"', "is tied by a tendon with a polynomial"),
-        (SPRING, 'stiffness="1000 0 3" springlength="0.1"', "a cubic stiffness and a springlength"),
+        (SPRING, 'stiffness="1000 0 3" springlength="0.1"', "a springlength beside a cubic"),
         ('"elbow_motor" class="rotor"', '"elbow_motor" class="rotor" armature="1"', "armature, which takes no part"),
         ('"elbow_motor" class="rotor"', '"elbow_motor" axis="0 1 0"', "does not turn about the axis of the joint"),
         ('"elbow_motor" class="rotor"/>', '"elbow_motor" class="rotor" pos="1 0 0"/>', "does not turn about the axis"),

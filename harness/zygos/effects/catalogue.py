@@ -302,7 +302,8 @@ _REFLECTED = Held(
 )
 _DAMPING = Held("exact", "`damping` of the joint, or of the hinge of its rotor")
 _CUBIC = Held("exact", "third number of `stiffness` of the tendon, from MuJoCo 4.0 on")
-_RELAXED = Held("exact", "`springlength` of the tendon; not beside a cubic stiffness")
+_RELAXED = Held("exact", "`springlength` of the tendon; not beside a cubic stiffness or a backlash")
+_GAP = Held("exact", "two numbers of `springlength` of a second tendon")
 _DYNAMICS = Held("exact", "`damping` of `<dynamics>`")
 
 ENTRIES = (
@@ -524,6 +525,8 @@ ENTRIES = (
         shape_title="half width g of the gap",
         shape_unit="rad",
         formula="−clip(θ−q, −g, g); all of the gap is free at c = k",
+        mjcf=_GAP,
+        urdf=NOT_HELD,
     ),
     Kind(
         "ripple_sin",

@@ -107,18 +107,24 @@ class InJoints:
     """(N,) Nm/rad^3 behind the gear."""
     offset: Array
     """(N,) Nm behind the gear."""
+    slack: Array
+    """(N,) Nm/rad behind the gear, by which springs are softer within a gap."""
+    gap_rad: Array
+    """(N,) its half width."""
 
 
 def in_joints(arm: Arm, held: Sequence[Effect]) -> InJoints:
     """Effects that a file holds: those of the motor of a rigid joint behind its gear. The coupling of a rotor is in its
     armature and the inertials, or in the hinge of the rotor."""
-    out = InJoints(*np.zeros((6, arm.n)))
+    out = InJoints(*np.zeros((8, arm.n)))
     for one in held:
         i, place = one.index(arm), one.kind.place
         if place not in ("motor", "link", "spring"):
             continue
         ratio = float(arm.gear_ratios[i])
-        if place == "spring":
+        if one.kind.key == "backlash":
+            out.slack[i], out.gap_rad[i] = one.value, one.shape
+        elif place == "spring":
             (out.cubic if one.kind.key == "cubic_stiffness" else out.offset)[i] += one.value
         elif place == "motor" and arm.joints[i].flexible:
             # the rate before the gear is n times that of the law
@@ -163,6 +169,8 @@ def _with_springs(
             damping=_same(spring.damping, max(given[f"b{j + 1}"], 0.0)),
             cubic=_same(spring.cubic, float(drives.cubic[j])),
             offset=_same(spring.offset, float(drives.offset[j])),
+            slack=_same(spring.slack, float(drives.slack[j])),
+            gap_rad=_same(spring.gap_rad, float(drives.gap_rad[j])),
             friction=_same(spring.friction, max(float(drives.rotor_friction[j]), 0.0)),
             rub=_same(spring.rub, max(float(drives.rotor_damping[j]), 0.0)),
         )

@@ -27,13 +27,13 @@ m: what the torque of a motor is multiplied with there, n at a joint and 1 at a 
 
 def kept_by(file: Format, arm: Arm, effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
     """The effects of an arm that a file of this format holds, and those that it cannot."""
-    # a tendon with a cubic stiffness has its zero where the spring is relaxed
-    cubic = {one.joint for one in effects if one.kind.key == "cubic_stiffness"}
+    # a tendon with a cubic stiffness, and one with a gap, have their zero where the spring is relaxed
+    about_zero = {one.joint for one in effects if one.kind.key in ("cubic_stiffness", "backlash")}
     held = []
     for one in effects:
         one.index(arm)
         holds = (one.kind.mjcf if file == "MJCF" else one.kind.urdf).holds
-        if holds and not (one.kind.key == "spring_offset" and one.joint in cubic):
+        if holds and not (one.kind.key == "spring_offset" and one.joint in about_zero):
             held.append(one)
     return tuple(held), tuple(one for one in effects if one not in held)
 

@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from zygos.errors import ZygosError, installs
-from zygos.simulators.robot import Hinge, Lump, Owner, Robot, Spring, written
+from zygos.simulators.robot import Hinge, Lump, Owner, Robot, written
+from zygos.simulators.springs import HINGE, spring_of, springs_of, terms
+from zygos.simulators.view import View
 from zygos.simulators.xml import Document, Edits, Element, read_document
 
 _MAKERS = ("replicate", "attach", "composite", "flexcomp")
@@ -29,10 +31,8 @@ _TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 """What an `<inertial>` with fullinertia must not have."""
 _SWITCHED_OFF = ("", "false", "auto", "0", "-1")
 _TENDONS = ("fixed", "spatial")
-_FREE, _HINGE = 0, 3
-"""Kinds of joints, as mujoco.mjtJoint has them."""
-_SAME = 1e-6
-"""Largest difference of what has to be equal, as share of it, or in m."""
+_FREE = 0
+"""Kind of a joint, as mujoco.mjtJoint has it."""
 
 
 def load_mujoco() -> Any:
@@ -138,10 +138,10 @@ def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document
     chosen = _chosen(path, tree, joints)
     root = _root(path, tree, chosen[0])
     springs = springs_of(path, mujoco, tree, chosen)
-    _check(path, mujoco, tree, chosen, [one.tendon for one in springs.values()])
+    _check(path, mujoco, tree, chosen, [t for one in springs.values() for t in (one.tendon, one.second)])
     if document is not None:
         bodies_of(document, tree)
-    view = _View(tree, data, root)
+    view = View(tree, data, root)
     carriers = [int(tree.jnt_bodyid[j]) for j in chosen]
     rotors = {int(tree.jnt_bodyid[one.number]) for one in springs.values()}
     hinges = tuple(
@@ -157,7 +157,7 @@ def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document
             j,
             tree.joint(j).name,
             (float(tree.jnt_range[j, 0]), float(tree.jnt_range[j, 1])) if tree.jnt_limited[j] else None,
-            _spring(path, view, springs[j], j, carriers) if j in springs else None,
+            spring_of(path, view, springs[j], j, carriers) if j in springs else None,
         )
         for k, j in enumerate(chosen, start=1)
     )
@@ -181,33 +181,7 @@ def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document
     )
 
 
-@dataclass(frozen=True)
-class _View:
-    """A compiled file in the posture in which it is written, in the axes of the base of the arm."""
-
-    tree: Any
-    data: Any
-    root: int | None
-    """The body of a base that floats."""
-
-    @property
-    def attitude(self) -> Any:
-        """(3, 3) of the base in the world."""
-        return np.eye(3) if self.root is None else self.data.xmat[self.root].reshape(3, 3)
-
-    def place(self, at: Any) -> Any:
-        """A place of the world (3,), m."""
-        origin = np.zeros(3) if self.root is None else self.data.xpos[self.root]
-        return self.attitude.T @ (at - origin)
-
-    def lump(self, body: int) -> Lump:
-        """The mass of a body."""
-        axes = self.attitude.T @ self.data.ximat[body].reshape(3, 3)
-        tensor = axes @ np.diag(self.tree.body_inertia[body]) @ axes.T
-        return Lump(float(self.tree.body_mass[body]), self.place(self.data.xipos[body]), tensor)
-
-
-def _owner(path: Path, view: _View, bodies: Sequence[int], said: str) -> Owner:
+def _owner(path: Path, view: View, bodies: Sequence[int], said: str) -> Owner:
     """Of bodies that move together, the one whose inertial is changed: the heaviest. said: what they are."""
     tree, data = view.tree, view.data
     heaviest = max(bodies, key=lambda b: float(tree.body_mass[b]))
@@ -221,114 +195,6 @@ def _owner(path: Path, view: _View, bodies: Sequence[int], said: str) -> Owner:
         lumps.pop(heaviest),
         tuple(lumps.values()),
         heaviest,
-    )
-
-
-@dataclass(frozen=True)
-class Tie:
-    """A tendon that ties a joint of the arm to the hinge of its rotor."""
-
-    tendon: int
-    number: int
-    """Of the hinge of the rotor."""
-    of_joint: float
-    """Length for each radian, m."""
-    of_rotor: float
-
-
-def springs_of(path: Path, mujoco: Any, tree: Any, chosen: Sequence[int]) -> dict[int, Tie]:
-    """The springs of joints, by number of the joint. Errors: ZygosError for two of them at one joint."""
-    out: dict[int, Tie] = {}
-    for t in range(tree.ntendon):
-        start, count = int(tree.tendon_adr[t]), int(tree.tendon_num[t])
-        if count != 2 or any(tree.wrap_type[start : start + 2] != mujoco.mjtWrap.mjWRAP_JOINT):
-            continue
-        ends = [(int(tree.wrap_objid[w]), float(tree.wrap_prm[w])) for w in (start, start + 1)]
-        ends.sort(key=lambda end: end[0] not in chosen)
-        (joint, own), (other, behind) = ends
-        if joint not in chosen or other in chosen or tree.jnt_type[other] != _HINGE or tree.tendon_stiffness[t] == 0.0:
-            continue
-        if joint in out:
-            raise ZygosError(f"{path}: joint {tree.joint(joint).name} has two springs; remedy: keep one of the tendons")
-        out[joint] = Tie(t, other, own, behind)
-    return out
-
-
-def _spring(path: Path, view: _View, tie: Tie, joint: int, carriers: Sequence[int]) -> Spring:
-    """What a tendon and a rotor say of the spring of a joint.
-
-    Errors: ZygosError for a rotor that zygos has no equations for.
-    """
-    tree, data, t, r = view.tree, view.data, tie.tendon, tie.number
-    name, body, dof = tree.joint(joint).name, int(tree.jnt_bodyid[r]), int(tree.jnt_dofadr[r])
-
-    def refuse(what: str, remedy: str) -> None:
-        raise ZygosError(f"{path}: the rotor of joint {name} {what}; remedy: {remedy}")
-
-    def moves_with(at: int) -> int:
-        stops = {*carriers, view.root, 0}
-        while at not in stops:
-            at = int(tree.body_parentid[at])
-        return at
-
-    carrier = moves_with(int(tree.body_parentid[int(tree.jnt_bodyid[joint])]))
-    if moves_with(int(tree.body_parentid[body])) != carrier:
-        refuse("is not carried by the body before the joint", "put its body there")
-    if np.any(tree.body_parentid == body) or tree.body_jntnum[body] != 1:
-        refuse(
-            "carries a body or has a second joint", "keep one hinge, and fix other bodies to the link or its carrier"
-        )
-    axis, apart = data.xaxis[joint], data.xanchor[r] - data.xanchor[joint]
-    if np.dot(axis, data.xaxis[r]) < 1.0 - _SAME or np.linalg.norm(np.cross(axis, apart)) > _SAME:
-        refuse("does not turn about the axis of the joint", "give both hinges one axis, with the same sign")
-    if not -tie.of_joint / tie.of_rotor > 0.0:
-        refuse("turns the other way", "coefficients 1/n for the rotor and -1 for the joint, n being the gear ratio")
-    if tree.dof_armature[dof] != 0.0 or tree.dof_armature[int(tree.jnt_dofadr[joint])] != 0.0:
-        refuse(
-            "or the joint itself has an armature, which takes no part in the motion of the body that carries it",
-            "write the inertia of the rotor into its <inertial>, and no armature",
-        )
-    if tree.jnt_stiffness[r] != 0.0 or np.any(tree.dof_dampingpoly[dof] != 0.0):
-        refuse("has a spring of its own or a damping polynomial", "write one damping, and no stiffness")
-    axis = view.attitude.T @ axis
-    lump = view.lump(body)
-    about = float(axis @ lump.tensor @ axis)
-    across = 0.5 * (float(np.trace(lump.tensor)) - about)
-    round_one = about * np.outer(axis, axis) + across * (np.eye(3) - np.outer(axis, axis))
-    off = np.cross(axis, lump.centre - view.place(data.xanchor[joint]))
-    if np.max(np.abs(lump.tensor - round_one)) > _SAME * max(about, across) or np.linalg.norm(off) > _SAME:
-        refuse(
-            "is not round: turned, it is another body for the arm",
-            "a mass centre on the axis, and equal moments of inertia across it",
-        )
-    if tree.tendon_limited[t] or tree.tendon_frictionloss[t] != 0.0 or tree.tendon_armature[t] != 0.0:
-        refuse("is tied by a tendon with a range, friction or an armature", "remove these from the tendon")
-    if np.any(tree.tendon_dampingpoly[t] != 0.0) or tree.tendon_stiffnesspoly[t, 0] != 0.0:
-        refuse("is tied by a tendon with a polynomial", "one damping, and at most a stiffness and its cubic term")
-    low, high = (float(x) for x in tree.tendon_lengthspring[t])
-    relaxed = sum(
-        c * float(tree.qpos0[int(tree.jnt_qposadr[j])]) for j, c in ((joint, tie.of_joint), (r, tie.of_rotor))
-    )
-    if low != high:
-        refuse("is tied by a tendon with a gap (two numbers of springlength)", "write one")
-    cubic, offset = float(tree.tendon_stiffnesspoly[t, 1]) * tie.of_joint**4, 0.0
-    if abs(low - relaxed) > _SAME * abs(tie.of_joint) * 1e-3:
-        offset = tie.of_joint * float(tree.tendon_stiffness[t]) * (low - relaxed)
-    if cubic and offset:
-        refuse("is tied by a tendon with a cubic stiffness and a springlength", "keep one of the two")
-    return Spring(
-        lump,
-        float(tree.qpos0[int(tree.jnt_qposadr[r])]),
-        -tie.of_joint / tie.of_rotor,
-        float(tree.tendon_stiffness[t]) * tie.of_joint**2,
-        float(tree.tendon_damping[t]) * tie.of_joint**2,
-        cubic,
-        offset,
-        float(tree.dof_frictionloss[dof]),
-        float(tree.dof_damping[dof]),
-        r,
-        t,
-        tie.of_rotor,
     )
 
 
@@ -356,8 +222,7 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
         entries = {"pos": written(lump.centre), "mass": written([lump.mass]), "fullinertia": written(full)}
         old = elements[body - 1].first("inertial")
         if old is None:
-            text = "<inertial " + " ".join(f'{k}="{v}"' for k, v in entries.items()) + "/>"
-            edits.insert(elements[body - 1], text)
+            edits.insert(elements[body - 1], f"<inertial {_attributes(entries)}/>")
         else:
             edits.give(old, **entries, **dict.fromkeys(_TURNS))
 
@@ -374,9 +239,20 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
         change(joint(was.number), ("frictionloss", was.friction, now.friction), ("damping", was.rub, now.rub))
         tendon, size = tendons_of(document)[was.tendon], (was.coefficient * was.ratio) ** 2
         change(tendon, ("damping", was.damping / size, now.damping / size))
-        if (was.stiffness, was.cubic) != (now.stiffness, now.cubic):
-            terms = [now.stiffness / size, *([0.0, now.cubic / size**2] if now.cubic else [])]
+        if (was.stiffness, was.slack, was.cubic) != (now.stiffness, now.slack, now.cubic):
+            stiffness = max(now.stiffness - now.slack, 0.0) / size
+            terms = [stiffness, *([0.0, now.cubic / size**2] if now.cubic else [])]
             edits.give(tendon, stiffness=" ".join(f"{x:.10g}" for x in terms))
+        if (was.slack, was.gap_rad) != (now.slack, now.gap_rad):
+            half = now.gap_rad * abs(was.coefficient * was.ratio)
+            ends = written([float(tree.tendon_length0[was.tendon]) + sign * half for sign in (-1.0, 1.0)])
+            if was.second >= 0:
+                edits.give(tendons_of(document)[was.second], stiffness=written([now.slack / size]), springlength=ends)
+            else:
+                inner = "".join(f"<joint {_attributes(one.attributes)}/>" for one in tendon.all("joint"))
+                section = next(one for one in document.root.all("tendon") if tendon in one.children)
+                own = _attributes({"stiffness": written([now.slack / size]), "springlength": ends})
+                edits.insert(section, f"<fixed {own}>{inner}</fixed>")
         if (was.stiffness, was.offset) != (now.stiffness, now.offset) and (was.offset or now.offset):
             # the length at the zeros, and what the offset adds to it
             low = float(tree.tendon_lengthspring[was.tendon, 0])
@@ -398,8 +274,12 @@ def _pose(tree: Any, body: int, base: Owner | None) -> tuple[Any, Any]:
     mujoco = load_mujoco()
     data = mujoco.MjData(tree)
     mujoco.mj_kinematics(tree, data)
-    view = _View(tree, data, None if base is None else int(tree.body_rootid[body]))
+    view = View(tree, data, None if base is None else int(tree.body_rootid[body]))
     return view.attitude.T @ data.xmat[body].reshape(3, 3), view.place(data.xpos[body])
+
+
+def _attributes(values: Mapping[str, str]) -> str:
+    return " ".join(f"{name}={quoteattr(value)}" for name, value in values.items())
 
 
 def tendons_of(document: Document) -> list[Element]:
@@ -424,7 +304,7 @@ def _chosen(path: Path, tree: Any, joints: Sequence[str] | int | None) -> list[i
     at = 0
     while count is None or len(chosen) < count:
         after = [
-            j for j in range(tree.njnt) if tree.jnt_type[j] == _HINGE and j not in chosen and _next(tree, j, at, chosen)
+            j for j in range(tree.njnt) if tree.jnt_type[j] == HINGE and j not in chosen and _next(tree, j, at, chosen)
         ]
         if not after:
             break
@@ -445,7 +325,7 @@ def _chosen(path: Path, tree: Any, joints: Sequence[str] | int | None) -> list[i
 
 def _floats_or_bends(mujoco: Any, tree: Any) -> bool:
     """Whether a body that floats carries hinges, or a tendon is a spring between two hinges."""
-    hinged = [int(tree.body_rootid[tree.jnt_bodyid[j]]) for j in range(tree.njnt) if tree.jnt_type[j] == _HINGE]
+    hinged = [int(tree.body_rootid[tree.jnt_bodyid[j]]) for j in range(tree.njnt) if tree.jnt_type[j] == HINGE]
     floats = any(tree.jnt_type[j] == _FREE and int(tree.jnt_bodyid[j]) in hinged for j in range(tree.njnt))
     return floats or any(
         tree.tendon_stiffness[t] != 0.0
@@ -480,7 +360,7 @@ def _carries(tree: Any, body: int, other: int) -> bool:
 def _next(tree: Any, joint: int, body: int, chosen: Sequence[int]) -> bool:
     """Whether a hinge is the next one behind a body: no hinge lies between them."""
     at = int(tree.jnt_bodyid[joint])
-    hinged = {int(tree.jnt_bodyid[j]) for j in range(tree.njnt) if tree.jnt_type[j] == _HINGE and j != joint}
+    hinged = {int(tree.jnt_bodyid[j]) for j in range(tree.njnt) if tree.jnt_type[j] == HINGE and j != joint}
     hinged -= {int(tree.jnt_bodyid[j]) for j in chosen}
     at = int(tree.body_parentid[at])
     while at != body:
@@ -512,14 +392,14 @@ def _check(  # noqa: PLR0912  (a list of refusals)
         refuse("a body has two joints", "put a body with mass between them")
     for j in chosen:
         name, dof = tree.joint(j).name, int(tree.jnt_dofadr[j])
-        if tree.jnt_type[j] != _HINGE:
+        if tree.jnt_type[j] != HINGE:
             refuse(f"joint {name} does not turn", "linear axes are not supported")
         if tree.jnt_stiffness[j] != 0.0:
             refuse(
                 f"joint {name} has a stiffness to the body that carries it, for which zygos has no equations",
                 "remove the spring, or explain the arm without it",
             )
-        if np.any(getattr(tree, "dof_dampingpoly", np.zeros((tree.nv, 1)))[dof] != 0.0):
+        if np.any(terms(tree, "dof_dampingpoly", dof) != 0.0):
             refuse(f"the damping of joint {name} is a polynomial", "write a single number")
         body = int(tree.jnt_bodyid[j])
         if tree.body_gravcomp[body] != 0.0:

@@ -87,13 +87,17 @@ class Spring:
     ratio: float
     """Turns of the rotor for one turn of the joint at which the spring is relaxed."""
     stiffness: float
-    """Nm/rad behind the gear."""
+    """Nm/rad behind the gear, beyond the gap."""
     damping: float
     """Nms/rad behind the gear."""
     cubic: float = 0.0
     """Nm/rad^3 behind the gear."""
     offset: float = 0.0
     """Nm at the link where joint and rotor are at their zeros."""
+    slack: float = 0.0
+    """By how much the stiffness is smaller within the gap, Nm/rad behind the gear: a second tendon has it."""
+    gap_rad: float = 0.0
+    """Half width of the gap behind the gear."""
     friction: float = 0.0
     """Nm of the rotor's hinge, before the gear."""
     rub: float = 0.0
@@ -102,6 +106,8 @@ class Spring:
     """Of the hinge of the rotor in MuJoCo."""
     tendon: int = -1
     """Of the tendon in MuJoCo."""
+    second: int = -1
+    """Of the one with the gap; -1 where there is none."""
     coefficient: float = 1.0
     """Length of the tendon for each radian of the rotor, m."""
 
@@ -342,7 +348,8 @@ class Robot:
         listed = []
         for joint, hinge, ratio in zip(arm.joints, self.hinges, arm.gear_ratios.tolist(), strict=True):
             sizes = [("motor_coulomb", hinge.friction / ratio), ("motor_viscous", hinge.damping / ratio)]
-            if (own := hinge.spring) is not None:
+            own = hinge.spring
+            if own is not None:
                 sizes = [
                     ("motor_coulomb", own.friction),
                     ("motor_viscous", own.rub * ratio),
@@ -352,6 +359,8 @@ class Robot:
                     ("spring_offset", own.offset),
                 ]
             listed += [effect(key, joint.name, size) for key, size in sizes if size != 0.0]
+            if own is not None and own.slack != 0.0:
+                listed.append(effect("backlash", joint.name, own.slack, shape=own.gap_rad))
         return tuple(sorted(listed, key=lambda one: one.kind.key))
 
 
