@@ -61,8 +61,14 @@ def _members(node: ast.ClassDef) -> list[tuple[str, str]]:
             decorated = {getattr(one, "id", "") for one in child.decorator_list}
             if decorated & {"property", "cached_property"} and child.returns:
                 called = f"{child.name}: {ast.unparse(child.returns)}"
+            if child.name == "__getitem__" and child.returns:
+                called = f"[{child.args.args[1].arg}]: {ast.unparse(child.returns)}"
             found.append((child.name, words, called))
-    return [(f"`{called}`", _first(words)) for name, words, called in found if words and not name.startswith("_")]
+    return [
+        (f"`{called}`", _first(words))
+        for name, words, called in found
+        if words and not (name.startswith("_") and called.startswith("_"))
+    ]
 
 
 def _described(name: str) -> list[str]:
