@@ -55,13 +55,15 @@ def test_from_a_run_to_bodies(folder: Path, capsys: pytest.CaptureFixture[str]) 
     """What estimate writes is what fit reads; simulate and export take the result."""
     out = folder / "run.blf"
     assert run("simulate", EXAMPLE / "scenario.toml", "-o", out) == 0
-    assert run("estimate", out, "--energy", "-o", folder / "estimate.toml", "--json", folder / "estimate.json") == 0
+    assert run("estimate", out, "-o", folder / "estimate.toml", "--json", folder / "estimate.json") == 0
     assert fit(folder, "--lengths", "0", "--json", folder / "fit.json") == 0
     assert "chi^2" in capsys.readouterr().out
     arm, fitted = load_arm(EXAMPLE / "arm.toml"), load_model(folder / "fit.toml")
     estimated = load_model(folder / "estimate.toml").base_values(arm)
-    # an arm in a plane can have any base parameters that are positive definite
-    np.testing.assert_allclose(fitted.base_values(arm), estimated, rtol=1e-3)
+    # an arm in a plane can have any base parameters that are positive definite, and these are refined
+    np.testing.assert_allclose(fitted.base_values(arm), estimated, rtol=1e-6)
+    stiffness = fitted.joints[0].stiffness
+    assert stiffness.sigma < 2e-6 * stiffness.value
     assert {fitted.bodies[1].mass.source, fitted.joints[0].stiffness.source} == {"zygos"}
     content = json.loads((folder / "fit.json").read_text())
     assert content["explained"] is True and content["limit"] is None
@@ -113,6 +115,11 @@ def test_bad_input_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) 
         (json.dumps(report | {"normal": [[1.0], [1.0, 2.0]]}), 2, "do not have 12 parameters"),
         (json.dumps(report | {"normal": [[None] * 12] * 12}), 2, "do not have 12 parameters"),
         (json.dumps(report | {"validity": "refused", "reason": "too few accepted instants"}), 3, "was refused"),
+        (
+            json.dumps(report | {"refinement": {"published": True}}),
+            2,
+            "refined values have no covariance of their number",
+        ),
     ):
         (folder / "estimate.json").write_text(content)
         refused(code, words)

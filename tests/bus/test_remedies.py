@@ -468,7 +468,7 @@ def test_torques_that_a_recording_has_20_ms_late(tmp_path: Path, capsys: pytest.
             assert setting.value == pytest.approx(0.020, abs=2e-4)
             carry_out(checked_run.findings[0].settings, tomlkit.document(), mapping)
     assert checked_run.findings == () and run("check-arm", out) == 0
-    assert run("estimate", "--energy", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    assert run("estimate", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     values = {one["name"]: one["value"] for one in json.loads((tmp_path / "m.json").read_text())["parameters"]}
     assert values["Ixx1"] == pytest.approx(0.85, rel=3e-4)
     assert values["motor_viscous1"] == pytest.approx(0.008, rel=5e-3)

@@ -72,6 +72,7 @@ class Best:
                 "reason": self.reason or None,
                 "cycles": None if found is None else found.record.cycles,
                 "left_out": None if found is None else found.record.left_out,
+                "covariance": None if self.published is None else self.published.covariance.tolist(),
             },
             "values": self.values(),
         }

@@ -26,7 +26,7 @@ from zygos.arm import Arm
 from zygos.errors import Undecided, ZygosError, installs
 from zygos.model import gram
 from zygos.model.model import INERTIA_KEYS, Body, JointModel, Model, Quantity
-from zygos.quantiles import fisher_isf
+from zygos.quantiles import chi_square_isf, fisher_isf
 
 Array = NDArray[np.float64]
 
@@ -61,8 +61,8 @@ class Observed:
     root: Array
     """(r, p): |root (x - value)|^2 is chi^2 of base parameters x; combinations that the motion did not excite have no
     row."""
-    blocks: int
-    """Number of blocks of the jackknife that scales chi^2."""
+    blocks: int | None
+    """Number of blocks of the jackknife that scales chi^2; None where its scale is known."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,17 @@ class PhysicalFit:
         return self.chi2 <= self.limit * max(self.dof, 1.0)
 
 
+def _limit(dof: float, blocks: int | None) -> float:
+    """What chi^2/dof exceeds with the probability `CHANCE`, where chi^2 is scaled by this number of blocks."""
+    if dof < 1.0:
+        return np.inf
+    return float(chi_square_isf(CHANCE, dof)) / dof if blocks is None else fisher_isf(CHANCE, dof, blocks - 1)
+
+
 def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
     """The information about the parameters `names` in the JSON of `zygos estimate`; other columns are eliminated.
 
+    Refined values are taken with their covariance, where they are published. Otherwise
     chi^2 has the shape of the normal equations A and the scale of the jackknife: (x - value)' A (x - value) / c, where
     c is the median ratio of published variance to that of A^-1. The published covariance has the rank of its at most 32
     blocks, so it is not a metric; independent variances would lose the most precise combinations. Errors: ZygosError;
@@ -109,6 +117,8 @@ def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
         raise ZygosError(f"the estimate has no {', '.join(missing[:3])}; remedy: give the arm file of the estimate")
     if report["validity"] == "refused":
         raise Undecided(f"the estimate was refused: {report['reason']}; remedy: see that of `zygos estimate`")
+    if (report.get("refinement") or {}).get("published"):
+        return _refined(names, report)
     solution = np.array(report["solution"], dtype=float)
     sigma = np.array([entry["sigma"] for entry in report["parameters"]], dtype=float)
     normal = np.array(report["normal"], dtype=float)
@@ -130,9 +140,30 @@ def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
     eigen, vectors = np.linalg.eigh(inner)
     kept = eigen > _DEPENDENT * eigen[-1]
     root = np.sqrt(eigen[kept, None] / np.median(ratio)) * vectors[:, kept].T / scale[own]
-    # only an estimate without noise is more precise than this, and no solver could handle its scale
-    sharp = np.linalg.norm(root * solution[own], axis=1)[:, None] * _SHARPEST
-    return Observed(solution[own], root / np.maximum(1.0, sharp), int(report["blocks"]))
+    return Observed(solution[own], _blunted(root, solution[own]), int(report["blocks"]))
+
+
+def _refined(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
+    """The information of refined values, whose covariance (p, p) is in the order of the base parameters."""
+    values = {entry["name"]: entry["value"] for entry in report.get("values", ())}
+    value = np.array([values.get(name) for name in names], dtype=float)
+    covariance = np.array(report["refinement"].get("covariance"), dtype=float)
+    if covariance.shape != 2 * value.shape or not np.isfinite([*value, *covariance.flat]).all():
+        raise ZygosError(
+            "the refined values have no covariance of their number; remedy: give the file that `zygos estimate --json` "
+            "wrote"
+        )
+    sigma = np.sqrt(np.diag(covariance))
+    eigen, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+    root = vectors.T / np.sqrt(np.maximum(eigen, _DEPENDENT))[:, None] / sigma
+    return Observed(value, _blunted(root, value), None)
+
+
+def _blunted(root: Array, value: Array) -> Array:
+    """The rows, none of them more precise than `_SHARPEST`: no solver could handle the scale of an estimate without
+    noise."""
+    sharp = np.linalg.norm(root * value, axis=1)[:, None] * _SHARPEST
+    return np.asarray(root / np.maximum(1.0, sharp))
 
 
 class Coordinates:
@@ -296,7 +327,7 @@ def fit_bodies(
         ),
         chi2=float(missing @ missing + lengths @ lengths),
         dof=dof,
-        limit=fisher_isf(CHANCE, dof, observed.blocks - 1) if dof >= 1.0 else np.inf,
+        limit=_limit(dof, observed.blocks),
         least=least,
     )
 
