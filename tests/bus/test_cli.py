@@ -352,6 +352,7 @@ def test_listen_estimates_the_effects_of_a_model(
     assert "significance" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("zygos.paper.tables.simulate", trajectory_of)
     assert run("paper", "--seeds", 2, "--example", EXAMPLE, "--json", tmp_path / "paper.json") == 0

@@ -85,6 +85,7 @@ def test_export_names_the_remedy_for_lengths(folder: Path, capsys: pytest.Captur
     assert "zygos fit --lengths 0" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_estimate_that_no_arm_explains_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arm, built = load_arm(SPATIAL / "arm.toml"), load_model(SPATIAL / "model.toml")
     wrong = replace(arm, joints=(*arm.joints[:2], replace(arm.joints[2], frame_rpy=(0.4, 0.0, 0.0))))

@@ -75,6 +75,7 @@ def heard(node: Node, arm: Arm) -> list[Round]:
     return rounds
 
 
+@pytest.mark.slow(only=["0.0"])
 @pytest.mark.parametrize("share", [0.0, 0.005])
 def test_it_tells_what_the_library_judges(share: float, arm: Arm, model: Model, config: Path, frames: Log) -> None:
     """Every value to the last bit of a float: refined ones and their deviations while they are published, always why,

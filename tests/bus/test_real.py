@@ -45,6 +45,7 @@ def held_out(content: Content, recording: str, joint: str) -> Content:
 CASES = [("03", "shoulder", 0.27), ("03", "elbow", 0.20), ("11", "shoulder", 0.70), ("11", "elbow", 0.14)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("recording", "joint", "limit"), CASES)
 def test_held_out_torques_are_predicted(
     made: tuple[Path, Content, int], recording: str, joint: str, limit: float
@@ -54,6 +55,7 @@ def test_held_out_torques_are_predicted(
     assert one["zygos"] <= limit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("recording", "joint"), [case[:2] for case in CASES])
 def test_held_out_torques_are_predicted_as_by_batch_least_squares(
     made: tuple[Path, Content, int], recording: str, joint: str
@@ -62,6 +64,7 @@ def test_held_out_torques_are_predicted_as_by_batch_least_squares(
     assert one["zygos"] <= 1.05 * one["batch"]
 
 
+@pytest.mark.slow
 def test_values_are_those_of_the_publication(made: tuple[Path, Content, int]) -> None:
     values = {one["name"]: one for one in made[1]["values"]}
     for name in ("mz1", "Ixx1", "mz2", "Ixx2"):
@@ -72,6 +75,7 @@ def test_values_are_those_of_the_publication(made: tuple[Path, Content, int]) ->
     assert values["Ixx1"]["stands_for"] == "Ixx1 + 0.09 m2 + 36 Im1"
 
 
+@pytest.mark.slow
 def test_the_answer_says_what_it_cannot_and_ends_accordingly(made: tuple[Path, Content, int]) -> None:
     _, content, code = made
     assert content["validity"] == "partial"
@@ -80,6 +84,7 @@ def test_the_answer_says_what_it_cannot_and_ends_accordingly(made: tuple[Path, C
     assert content["good"] == all(one["good"] for one in content["held_out"])
 
 
+@pytest.mark.slow
 def test_what_the_published_model_lacks_without_friction_is_told(made: tuple[Path, Content, int]) -> None:
     folder, _, _ = made
     assert "Coulomb friction" in (folder / "gap.html").read_text()
@@ -87,6 +92,7 @@ def test_what_the_published_model_lacks_without_friction_is_told(made: tuple[Pat
     assert "torque of the elbow in recording 03" in picture and "with what was found" in picture
 
 
+@pytest.mark.slow
 def test_the_page_is_whole(made: tuple[Path, Content, int]) -> None:
     folder, content, _ = made
     text = (folder / "real.html").read_text()

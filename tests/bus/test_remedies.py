@@ -442,6 +442,7 @@ def test_keys_that_messages_of_estimates_name_are_keys_of_the_arm_file() -> None
 # --------------------------------------------------------------------------------------------- from end to end
 
 
+@pytest.mark.slow
 def test_torques_that_a_recording_has_20_ms_late(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The delay is measured and proposed as a key of the map, never as another torque law; with it the estimate has the
     true values: an inertia of 0.85 kg m^2, viscous friction of 0.008 N m s/rad and Coulomb friction of 0.016 N m."""

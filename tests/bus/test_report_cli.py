@@ -232,7 +232,7 @@ def test_a_stage_that_differs_is_marked_and_drawn(
     assert cycle == 705  # the instant 700 belongs to the cycle five later, where the smoother's window is full
 
 
-@pytest.mark.slow(only=["check-arm", "self-test"])
+@pytest.mark.slow(but=["self-test"])
 @pytest.mark.parametrize("name", ["estimate", "self-test", "check-arm"])
 def test_a_page_on_standard_output_is_alone_there(
     name: str, brief_recording: Path, tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]

@@ -399,6 +399,7 @@ def test_declared_sigmas_are_what_the_case_says(motion: Trajectory) -> None:
         assert error.std() / declared == pytest.approx(factor, rel=0.03)
 
 
+@pytest.mark.slow
 def test_draws_differ_and_are_the_same_again(motion: Trajectory) -> None:
     for name in ("paper-60", "quantised", "zeros", "lost"):
         one, same, other = (sensed(CASES[name], motion, 0, number)[1].tobytes() for number in (7, 7, 1_000_007))

@@ -238,6 +238,7 @@ def test_a_zero_that_is_off_is_named_with_its_value(
         assert abs(-pair.zero_rad - 0.03 * sign) < 5 * pair.zero_sigma_rad + 0.001
 
 
+@pytest.mark.slow
 def test_other_steps_than_declared_are_named(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
     for name, counts in (("lively", 1024), ("b", 65536)):
         arm, clean = runs[name]
@@ -265,6 +266,7 @@ def test_a_declared_quantum_with_the_noise_of_interpolation_is_no_fault(
             assert found.get(Q1, "").split(",")[0] == fault
 
 
+@pytest.mark.slow
 def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
     arm, clean = runs["b"]
     sigma = arm.joints[0].link_encoder.sigma_rad
@@ -366,6 +368,7 @@ def test_samples_that_no_arm_makes_are_named_and_nothing_else(runs: dict[str, tu
     assert all("`zygos convert RUN --arm ARM.toml -o NEW`" in finding.remedy for finding in found.findings)
 
 
+@pytest.mark.slow(but=["q-*"])
 @pytest.mark.parametrize(
     ("kind", "unit", "factor"),
     [("theta", "deg", 180.0 / np.pi), ("q", "counts", 1.0 / 0.003), ("theta", "turn", 0.5 / np.pi)],
@@ -390,7 +393,7 @@ def test_counts_that_are_not_the_declared_ones_accuse_no_other_angle(
     assert named(found)[M1].startswith("in counts")
 
 
-@pytest.mark.slow(only=["rpm*", "deg/s*"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "factor"), [("deg/s", 180.0 / np.pi), ("rpm", 30.0 / np.pi), ("mrad/s", 1e3)])
 def test_a_gyro_in_another_unit_is_not_turned(
     runs: dict[str, tuple[Arm, list[Cycles]]], unit: str, factor: float

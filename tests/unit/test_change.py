@@ -315,6 +315,7 @@ def test_motor_rows_fade_alike() -> None:
             np.testing.assert_allclose(sums, newest * ratio * known, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_with_a_short_memory_the_estimate_follows_and_without_it_does_not(true: tuple[Floats, Floats]) -> None:
     """With 10 s, a sixth of an arc, what the light arm left has faded to a millionth in the end; without
     it both arms are in the sums, which fit neither."""

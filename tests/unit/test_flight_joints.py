@@ -330,6 +330,7 @@ def test_a_configuration_that_does_not_fit_is_refused() -> None:
         Flight(replace(arm, joint_increment_s=0.02))
 
 
+@pytest.mark.slow
 def test_energy_rows_can_be_left_out_where_joint_rows_suffice() -> None:
     known = random_ground(3, "spatial", 6000)
     answers = []

@@ -46,6 +46,7 @@ def bits(estimate: Any) -> bytes:
 # ---------------------------------------------------------------- the copy
 
 
+@pytest.mark.slow(but=["spatial"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_copy_by_parts_is_that_of_one_moment(kind: str) -> None:
     """At the cut of a kind of rows zygos_arm_take() copies its sums at once: the solution of both has the same bits,

@@ -63,6 +63,7 @@ def test_what_is_taken_for_a_usual_entry_is_found_in_the_catalogue(hidden: str, 
     assert [one.name for one in rivals(found, every)] == instead
 
 
+@pytest.mark.slow
 def test_a_law_whose_size_differs_between_runs_is_not_exactly_what_was_named() -> None:
     (other,) = unsteady(named(VISCOUS, COULOMB))
     assert (other.name, other.first) == (COULOMB, pytest.approx(0.60, abs=0.02))

@@ -45,6 +45,7 @@ def same(out: Any, copied: Estimate) -> None:
     assert REASONS[out.reason] == copied.reason
 
 
+@pytest.mark.slow(only=["ground-*"])
 @pytest.mark.parametrize(
     ("kind", "left", "memory_s"),
     [("planar", 0, None), ("planar", 100, None), ("planar", 7, 40.0), ("spatial", 7, None), ("ground", 0, None)],

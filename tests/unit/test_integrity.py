@@ -156,6 +156,7 @@ def resting(flight: Flight, next_ones: Cycles, places: list[Place], cycles: int)
     return [bool(one.values(later.native) == one.values(flight.native)) for one in places]
 
 
+@pytest.mark.slow(only=["ground-*"])
 @pytest.mark.parametrize(("name", "keep"), [("flight", True), ("flight", False), ("ground", True)])
 def test_a_flip_is_remembered_when_its_block_changes(
     name: str, keep: bool, motion: Cycles, request: pytest.FixtureRequest

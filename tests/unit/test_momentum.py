@@ -55,6 +55,7 @@ def test_columns_are_stated_in_other_axes() -> None:
     assert np.abs(turned - plain).max() > 0.1 * np.abs(plain).max()
 
 
+@pytest.mark.slow(only=["lively-*"])
 @pytest.mark.parametrize(("name", "share"), [("lively", 1e-4), ("lively 10 ms", 1e-5), ("spatial", 1e-4)])
 def test_rows_close_on_simulated_motion(name: str, share: float) -> None:
     """What the true parameters leave over is a small share of what the base alone contributes."""

@@ -200,6 +200,7 @@ def test_what_cannot_be_planned_is_refused() -> None:
         trajectory_of(floating, body, replace(scenario, controller=Controller(feedforward=True)), duration_s=0.1)
 
 
+@pytest.mark.slow
 def test_floating_motions_are_ranked_by_what_the_estimator_says() -> None:
     """The planned run's reported sigmas are those of other noise within a factor of 2, in the median."""
     arm, model, scenario = lively()

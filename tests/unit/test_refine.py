@@ -293,7 +293,7 @@ def test_a_filter_that_resumes_keeps_what_does_not_move() -> None:
 # ------------------------------------------------------------------------------------------ refusals
 
 
-@pytest.mark.slow(but=["delay"])
+@pytest.mark.slow(but=["noisier*"])
 @pytest.mark.parametrize(
     ("case", "rule"),
     [

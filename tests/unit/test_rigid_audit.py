@@ -129,7 +129,7 @@ def pendulum(torque_at: TorqueAt = "rotor") -> tuple[Arm, Cycles]:
     return arm, Cycles(number, theta, theta.copy(), tau, np.zeros((len(t), 3)), flags)
 
 
-@pytest.mark.slow(but=["0-rotor"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("torque_at", "factor"), [("rotor", 6.0), ("joint", 1 / 6)], ids=["rotor", "joint"])
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_torque_of_the_other_side_of_its_gear_is_named_between_two(

@@ -413,6 +413,7 @@ def test_a_model_with_other_lengths_is_refused() -> None:
     np.testing.assert_array_equal(replace(model, bodies=tuple(moved)).base_values(arm), model.base_values(arm))
 
 
+@pytest.mark.slow(only=["planar2v*"])
 @pytest.mark.parametrize(
     ("name", "kinetic", "flexible"),
     [
