@@ -120,7 +120,7 @@ def test_sensors_that_are_better_than_declared(tmp_path: Path, capsys: pytest.Ca
 def test_listen_says_it_too(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     numbers = tmp_path / "live.json"
     options = ["-i", "virtual", "-c", "test_change", "--idle", 1, "--json", numbers]
-    with playing("test_change", folder / "changed.blf", 0.05):
+    with playing("test_change", folder / "changed.blf"):
         code = run("listen", "--arm", EXAMPLE / "arm.toml", *options, "-o", tmp_path / "live.toml")
     assert code == 3
     assert "warning: the arm changed after 120 s" in capsys.readouterr().err

@@ -268,7 +268,7 @@ def test_check_says_when_c_and_numpy_differ(brief_recording: Path, monkeypatch: 
 
 @pytest.mark.slow
 def test_listen(brief_recording: Path, tmp_path: Path) -> None:
-    with playing("test_listen", brief_recording, 0.05):
+    with playing("test_listen", brief_recording):
         where = ("-i", "virtual", "-c", "test_listen", "--idle", 1)
         files = ("-o", tmp_path / "live.toml", "--log", tmp_path / "live.blf", "--report", tmp_path / "live.html")
         code = run("listen", "--arm", EXAMPLE / "arm.toml", *where, *files)
@@ -332,7 +332,7 @@ def test_listen_estimates_the_effects_of_a_model(
     entry = '\n[[effect]]\nkind = "motor_viscous"\njoint = "elbow"\nvalue = 0\n'
     prior.write_text((EXAMPLE / "model.toml").read_text() + entry)
     answers = []
-    with playing("test_effects", brief_recording, 0.05):
+    with playing("test_effects", brief_recording):
         options = ("--idle", 1, "--model", prior, "--details", "--json", tmp_path / "live.json")
         listen("test_effects", tmp_path, *options)
     given = ("--energy", "--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json", "--details")
@@ -608,7 +608,7 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
 
     before = signal.signal(which, unheard)
     try:
-        with playing(f"test_{which}", brief_recording, 0.05, lambda: os.kill(os.getpid(), which)):
+        with playing(f"test_{which}", brief_recording, lambda: os.kill(os.getpid(), which)):
             begin = time.monotonic()
             assert listen(f"test_{which}", tmp_path, "--idle", 60) == 0
         assert time.monotonic() - begin < 20
@@ -637,7 +637,7 @@ def test_the_heartbeat_of_others_does_not_keep_it_listening(brief_recording: Pat
     beating = threading.Thread(target=beat)
     beating.start()
     try:
-        with playing("test_beat", brief_recording, 0.05):
+        with playing("test_beat", brief_recording):
             assert listen("test_beat", tmp_path, "--idle", 1, "--duration", 40) == 0
         begin = time.monotonic()
         assert listen("test_beat", tmp_path, "--idle", 0.1, "--duration", 40) == 3
@@ -661,7 +661,7 @@ def test_a_bus_that_fails_while_listening(
         return receive(self, timeout)
 
     monkeypatch.setattr(VirtualBus, "_recv_internal", failing)
-    with playing("test_down", brief_recording, 0.05, down.set):
+    with playing("test_down", brief_recording, down.set):
         assert listen("test_down", tmp_path, "--idle", 60) == 3
     said = capsys.readouterr()
     assert "Network is down" in said.err
@@ -676,7 +676,7 @@ def test_a_log_that_fails_does_not_lose_the_estimate(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(can.CanutilsLogWriter, "on_message_received", full)
-    with playing("test_full", brief_recording, 0.05):
+    with playing("test_full", brief_recording):
         assert listen("test_full", tmp_path, "--idle", 2) == 2
     said = capsys.readouterr()
     assert "live.log: cannot be written (No space left" in said.err

@@ -500,7 +500,7 @@ REFUSALS: list[tuple[str, tuple[object, ...], str]] = [
     (
         "signal that is not in the log",
         ("--dbc", "{in}/other.dbc", *MAP, *OUT),
-        "my.blf has no RateZ.Z; remedy: compare the DBC's identifiers",
+        "my.blf has no RateZ.Z; remedy: compare the identifiers of the DBC",
     ),
     ("counter that is not in the log", ("--dbc", "{in}/third.dbc", *MAP, *OUT), "time: my.blf has no Cycle.Count"),
     (

@@ -23,7 +23,6 @@ from schema_support import OF_COMMAND, SCHEMAS, hold
 
 from conftest import EXAMPLE, ROOT
 from zygos import testing
-from zygos.arm import load_arm
 from zygos.cli import COMMANDS, FORMER, load
 from zygos.effects import CATALOGUE, Effect
 from zygos.model.model import load_model, save_model
@@ -102,7 +101,7 @@ def test_the_output_of_explain(tmp_path: Path) -> None:
 def test_the_output_of_listen(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "live.json"
     where = ("-i", "virtual", "-c", "test_schemas", "--idle", 1)
-    with playing("test_schemas", folder / "run.blf", load_arm(ARM).period_s):
+    with playing("test_schemas", folder / "run.blf"):
         assert run("listen", "--arm", ARM, *where, "-o", tmp_path / "live.toml", "--json", out) == 0
     hold("estimate", json.loads(out.read_text()))
 

@@ -119,7 +119,7 @@ def test_listen_shows_it(
     damaged[2] = telemetry_of(200, 9)
     write_log(tmp_path / "run.log", np.concatenate([sent[:-1], answers, damaged, sent[-1:]]), arm.period_s)
     options = ("-i", "virtual", "-c", f"test_refined_{published}", "--idle", 1, "-o", tmp_path / "live.toml")
-    with playing(f"test_refined_{published}", tmp_path / "run.log", arm.period_s):
+    with playing(f"test_refined_{published}", tmp_path / "run.log"):
         assert run("listen", "--arm", EXAMPLE / "arm.toml", *options, "--json", tmp_path / "live.json") == 0
     content = json.loads((tmp_path / "live.json").read_text())
     hold("estimate", content)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import can
 from can.interfaces import virtual
 
 from zygos.can import bus
@@ -23,20 +24,21 @@ def _await(condition: Callable[[], bool]) -> None:
 
 
 @contextlib.contextmanager
-def playing(channel: str, log: Path, period_s: float, after: Callable[[], None] = lambda: None) -> Iterator[None]:
+def playing(channel: str, log: Path, after: Callable[[], None] = lambda: None) -> Iterator[None]:
     """
-    The frames of `log` go to `channel` of the virtual bus from another thread, as soon as one more listens there.
+    The frames of `log`, with its time stamps, go to `channel` of the virtual bus from another thread, as soon as one
+    more listens there.
 
     A virtual bus keeps nothing for those who come later, and on a loaded machine a command takes seconds until it
     listens. `after` is called a second after everything was read.
     """
     before = tuple(virtual.channels.get(channel, ()))
-    messages = bus.to_messages(bus.read_log(log).frames, period_s)
+    messages = list(bus.read_messages(log, []))
 
     def play() -> None:
         _await(lambda: len(virtual.channels.get(channel, ())) > len(before))
         readers = [queue for queue in virtual.channels[channel] if queue not in before]
-        with bus.open_bus("virtual", channel) as out:
+        with can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) as out:
             for message in messages:
                 out.send(message)
             _await(lambda: all(queue.empty() for queue in readers))

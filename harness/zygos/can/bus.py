@@ -159,6 +159,11 @@ class LogWriter:
 
 
 def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
+    """Write frames as `write_messages`, with time stamps as of `to_messages`."""
+    write_messages(path, to_messages(frames, period_s))
+
+
+def write_messages(path: Path, messages: Iterable[can.Message]) -> None:
     """Write a log in the format of the suffix, completely or not at all; "-" is standard output in candump's format.
 
     Errors: ZygosError if it cannot be written.
@@ -166,11 +171,11 @@ def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
     if is_dash(path):
         with TemporaryDirectory() as folder:
             log = Path(folder, "run.log")
-            write_log(log, frames, period_s)
+            write_messages(log, messages)
             write_bytes(path, log.read_bytes())
         return
     recording = LogWriter(path)
-    recording.append(to_messages(frames, period_s))
+    recording.append(messages)
     recording.finish()
 
 
@@ -297,11 +302,13 @@ def read_messages(
 
 
 def open_bus(interface: str | None, channel: str | None, bitrate: int | None = None) -> can.BusABC:
-    """Open a bus in the way of python-can (a `can.conf` is used).
+    """Open a bus in the way of python-can (a `can.conf` is used), on SocketCAN with CAN FD.
 
     Raises ZygosError when it cannot be opened.
     """
     options: dict[str, Any] = {} if bitrate is None else {"bitrate": bitrate}
+    if interface == "socketcan":
+        options["fd"] = True  # a socket of Linux takes CAN FD beside classical frames; others need bit rates for it
     try:
         opened = can.Bus(channel=channel, interface=interface, receive_own_messages=False, **options)
         if isinstance(opened, SocketcanBus):
@@ -317,12 +324,21 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None = N
         ) from error
 
 
-def received_messages(
-    bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False
-) -> Iterator[can.Message]:
-    """Messages of a bus until no SYNC came for idle_s, or for ten times idle_s before the first one, or stop() is true.
+def is_sync(message: can.Message) -> bool:
+    """Whether a message is the SYNC of an arm."""
+    return message.arbitration_id == _SYNC and not message.is_extended_id
 
-    Only SYNC counts, because other nodes may send heartbeats for ever. Raises can.CanError when the bus fails.
+
+def received_messages(
+    bus: can.BusABC,
+    idle_s: float,
+    stop: Callable[[], bool] = lambda: False,
+    counts: Callable[[can.Message], bool] = is_sync,
+) -> Iterator[can.Message]:
+    """Messages of a bus until none that counts came for idle_s, or for ten times idle_s before the first one, or stop()
+    is true.
+
+    Not all count, because other nodes may send heartbeats for ever. Raises can.CanError when the bus fails.
     """
     patience = 10 * idle_s
     newest = time.monotonic()
@@ -332,7 +348,7 @@ def received_messages(
         except OSError as error:
             raise can.CanOperationError(str(error)) from error
         if message is not None:
-            if message.arbitration_id == _SYNC and not message.is_extended_id:
+            if counts(message):
                 patience, newest = idle_s, time.monotonic()
             yield message
 

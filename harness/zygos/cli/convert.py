@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,23 +15,20 @@ from rich.progress import Progress
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
+from zygos.cli.driven import Drive, Eds, Nodes, Urdf, arm_text_of, named_drives
 from zygos.cli.options import Json, Mcap, cuts, of_arm, of_map, of_runs
 from zygos.cli.shared import not_whole, read_run, warn
 from zygos.errors import Undecided, ZygosError
 from zygos.files.inputs import local
 from zygos.files.mcap import check_mcap_name, write_mcap
-from zygos.files.output import check_outputs, counted, is_dash, note, number, say, table, write_json, write_text
+from zygos.files.output import check_outputs, counted, is_dash, number, say, table, write_json, write_text
 from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
 from zygos.native.flight import MAX_REFUSED_SHARE, Flight, encode, receivable
 from zygos.telemetry.convert import (
     SPARSE,
-    averages_torques,
-    check_noise,
-    cycles_of,
+    converted,
     fitting_cutoff_hz,
-    mended_recording,
-    noise_of,
     noise_warnings,
     noisier_arm_text,
     refused_share,
@@ -42,13 +38,11 @@ from zygos.telemetry.convert import (
     with_time,
     write_run,
 )
-from zygos.telemetry.drives import Drives, read_drives
-from zygos.telemetry.grid import (
-    Noise,
-    needed_rate,
-    noisier,
-)
-from zygos.telemetry.map import Dictionary, Input, Map, Recording, load_map, read_can, read_table
+from zygos.telemetry.dictionary import Dictionary
+from zygos.telemetry.drives import Drives
+from zygos.telemetry.frames import read_can
+from zygos.telemetry.grid import needed_rate
+from zygos.telemetry.map import Input, Map, Recording, load_map, read_table
 from zygos.telemetry.of_run import run_map, run_recording, with_breaks
 from zygos.telemetry.published import measured
 from zygos.telemetry.ros import check_mcap, is_mcap, read_mcap
@@ -82,18 +76,11 @@ def convert_run(
         dictionary = drives.dictionary if drives else partial(Dictionary.load, dbc)
         recording = run_recording(run, mapping) if run else _read(source, kind, dictionary, mapping, bar)
         samples = {source: len(one.value) for source, one in recording.sources.items()}
-        mended = mended_recording(recording, mapping, arm)
+        result = converted(recording, mapping, arm)
+        mended, found, noise, described = result.mended, result.found, result.noise, result.arm
         recording = mended.recording
-        found, cycles, lost = cycles_of(recording, mapping, arm)
-        cycles = with_breaks(cycles, run) if run else cycles
-        noise = noise_of(found, mapping, arm)
-        averaged = averages_torques(found, arm)
-        if all(one == Noise() for one in noise) and not averaged:
-            described, text = arm, local(chosen).read_text(encoding="utf-8")
-        else:
-            described = replace(noisier(arm, mapping.channels, noise), torque_averaged=averaged or arm.torque_averaged)
-            text = noisier_arm_text(chosen, described)
-        check_noise(described, found, noise)
+        cycles = with_breaks(result.cycles, run) if run else result.cycles
+        text = local(chosen).read_text(encoding="utf-8") if described is arm else noisier_arm_text(chosen, described)
         rate, needed = needed_rate(found, arm, mapping)
         # if the motion passes the test with even stamps, it is not too fast
         _, even = needed_rate([track.evened for track in found], arm, mapping) if needed != rate else (rate, needed)
@@ -118,7 +105,7 @@ def convert_run(
         "period_s": arm.period_s,
         "cycles": len(cycles),
         "breaks": int(np.count_nonzero(cycles.flags)),
-        "left_out": lost,
+        "left_out": result.lost,
         "damage": recording.missing or None,
         "damaged_frames": recording.damaged,
         "signals": rows,
@@ -309,31 +296,10 @@ def command(
             callback=of_arm,
         ),
     ] = None,
-    drive: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME[:MOTOR,...]",
-            help="Drives whose frames zygos knows, in place of --dbc and --map: damiao, cubemars, robstride, odrive, "
-            "moteus or cia402, with the name of the motor, or of the motor of each node.",
-        ),
-    ] = None,
-    nodes: Annotated[
-        str | None, typer.Option(metavar="1-7", help="With --drive: the node of each joint, from the base on.")
-    ] = None,
-    eds: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--eds",
-            metavar="DRIVE.eds",
-            help="With --drive cia402: the EDS or DCF of the drives, or that of each node in turn.",
-        ),
-    ] = None,
-    urdf: Annotated[
-        Path | None,
-        typer.Option(
-            "--urdf", metavar="ARM.urdf", help="With --drive: the arm, which stands on the ground, in place of --arm."
-        ),
-    ] = None,
+    drive: Drive = None,
+    nodes: Nodes = None,
+    eds: Eds = None,
+    urdf: Urdf = None,
     json: Json = None,
     mcap: Mcap = None,
 ) -> None:
@@ -356,42 +322,10 @@ def command(
 
     Example: zygos convert run.log --drive damiao --nodes 1-7 --urdf arm.urdf -o run.npz
     """
-    drives = _drives(drive, nodes, eds or (), arm, urdf)
     check_mcap_name(mcap)
+    drives = named_drives(drive, nodes, eds, arm, urdf)
     with TemporaryDirectory() as folder:
         if drives and urdf:
             arm = Path(folder, "arm.toml")
-            write_text(arm, _arm_of(urdf, drives))
-        if drives:
-            note("\n".join(drives.described()))
+            write_text(arm, arm_text_of(urdf, drives, "convert"))
         convert_run(source, dbc or [], map_file, arm, out, json, drives, mcap)
-
-
-def _drives(
-    drive: str | None, nodes: str | None, eds: Sequence[Path], arm: Path | None, urdf: Path | None
-) -> Drives | None:
-    """The drives that the options name."""
-    if drive is None:
-        if nodes or eds or urdf:
-            given = "--nodes" if nodes else "--eds" if eds else "--urdf"
-            raise ZygosError(f"{given} belongs to --drive; remedy: name the drives, or leave it out")
-        return None
-    if nodes is None:
-        raise ZygosError(f"--drive {drive} needs the nodes; remedy: add for instance --nodes 1-7")
-    if arm and urdf:
-        raise ZygosError("--arm and --urdf both describe the arm; remedy: give one of them")
-    return read_drives(drive, nodes, eds)
-
-
-def _arm_of(urdf: Path, drives: Drives) -> str:
-    """The text of the arm file of a URDF with these drives."""
-    from zygos.urdf.answers import Answers  # noqa: PLC0415  (other conversions need no extra)
-    from zygos.urdf.chain import read_chain  # noqa: PLC0415
-    from zygos.urdf.importing import arm_text  # noqa: PLC0415
-
-    chain, _ = read_chain(urdf, None, None, weighed=False)
-    for line in chain.notes:
-        note(f"note: {line}")
-    names = [hinge.name for hinge in chain.hinges]
-    answers = Answers(None, names, driven=False, known=drives.answers(names))
-    return arm_text(answers.arm(chain), f"From {urdf.name} and the profile {drives.name} by `zygos convert`.")

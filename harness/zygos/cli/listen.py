@@ -5,64 +5,173 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import can
 import typer
+from rich.table import Table
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.can.dbc import arm_database
 from zygos.can.rounds import Telemetry
-from zygos.cli.estimated import finish_estimate
-from zygos.cli.live import Screen
+from zygos.can.run import Run
+from zygos.cli.driven import Drive, Eds, Nodes, Urdf, arm_text_of, named_drives
+from zygos.cli.estimated import finish_estimate, finish_ground
+from zygos.cli.live import Screen, line_of, table_of
 from zygos.cli.onboard import report_refined
-from zygos.cli.options import Bitrate, ChannelOption, Details, Interface, Json, Out, Report
-from zygos.cli.shared import Wanted, check_model_name
+from zygos.cli.options import Bitrate, ChannelOption, Details, Interface, Json, Out, Report, of_arm
+from zygos.cli.shared import Wanted, check_model_name, warn
 from zygos.errors import Undecided, ZygosError
 from zygos.estimation.estimate import Estimation, conclude
 from zygos.estimation.watch import Watch
-from zygos.files.output import check_outputs, counted, named, note, quiet
+from zygos.files.output import check_outputs, counted, named, note, number, quiet, write_text
 from zygos.files.signals import stop_signals
+from zygos.ground.estimate import estimate_ground
 from zygos.model.model import Model, load_model
 from zygos.native.flight import Flight
 from zygos.report.provenance import provenance
+from zygos.telemetry.convert import converted, noise_warnings
+from zygos.telemetry.drives import Drives
+from zygos.telemetry.frames import Decoder
+from zygos.telemetry.map import SI_UNIT
+
+
+class _Frames:
+    """Frames of an arm, from which the C library estimates while they arrive."""
+
+    def __init__(self, arm: Arm, prior: Model | None, *, trace: bool) -> None:
+        self.watch = watched(arm, prior, trace=trace)
+        self.telemetry = Telemetry(arm_database(arm, self.watch.flight.effects))
+
+    def counts(self, message: can.Message) -> bool:
+        self.telemetry.take(message)
+        return bus.is_sync(message)
+
+    def feed(self, batch: Sequence[can.Message]) -> None:
+        self.watch.frames(bus.from_messages(batch))
+
+    def line(self) -> str:
+        return line_of(self.watch, self.watch.flight.estimate())
+
+    def table(self) -> Table:
+        return table_of(self.watch, self.watch.flight.estimate())
+
+    def kept(self) -> str:
+        return f"the estimate is of {counted(self.watch.flight.counts['cycles'], 'cycle')}"
+
+
+class _Answers:
+    """Frames of drives, whose signals are kept for an estimate at the end."""
+
+    def __init__(self, arm: Arm, drives: Drives) -> None:
+        self.arm, self.mapping = arm, drives.mapping(arm)
+        self.decoder = Decoder(drives.dictionary(), self.mapping)
+        self._began = time.monotonic()
+
+    def counts(self, message: can.Message) -> bool:
+        return self.decoder.take(message)
+
+    def feed(self, batch: Sequence[can.Message]) -> None:
+        """Nothing: each message was taken when it came."""
+
+    def line(self) -> str:
+        newest = self.decoder.newest()
+        silent = [channel.label for channel, count, _ in newest if not count]
+        heard = f"{len(newest) - len(silent)}/{len(newest)} signals"
+        damaged = f" · {self.decoder.damaged:,} damaged" if self.decoder.damaged else ""
+        return f"{counted(self.decoder.taken, 'frame')} · {heard}{damaged}" + (
+            f" · silent: {', '.join(silent)}" if silent else ""
+        )
+
+    def table(self) -> Table:
+        table = Table(caption=self.line(), caption_justify="left")
+        for heading in ("signal", "newest", "unit", "samples"):
+            table.add_column(heading, justify="right" if heading in ("newest", "samples") else "left")
+        for channel, count, value in self.decoder.newest():
+            unit = self.arm.torque_unit if channel.quantity == "torque" else SI_UNIT[channel.quantity]
+            table.add_row(channel.label, "–" if value is None else number(value, 4), unit, f"{count:,}")
+        return table
+
+    def kept(self) -> str:
+        return f"the estimate is of {counted(self.decoder.taken, 'frame')}"
+
+    def run(self, where: str) -> Run:
+        """What was heard, on the grid of the arm, with warnings about it. Errors: as `Decoder.recording` and
+        `converted`."""
+        result = converted(self.decoder.recording(Path(where)), self.mapping, self.arm)
+        warn([*result.mended.warnings, *noise_warnings(self.arm, result.found, result.noise, result.mended.jumping)])
+        return Run(result.arm, table=result.cycles)
+
+
+@dataclass(frozen=True)
+class _Bus:
+    """The bus to listen on, and until when."""
+
+    interface: str | None
+    channel: str | None
+    bitrate: int | None
+    duration: float
+    idle: float
+
+    def __str__(self) -> str:
+        return f"{self.interface or 'can.conf'} {self.channel or ''}".strip()
 
 
 def listen_bus(
-    arm_file: Path,
+    arm: Arm,
+    inputs: Sequence[Path | None],
     out: Path | None,
     model_file: Path | None,
-    interface: str | None,
-    channel: str | None,
-    bitrate: int | None,
+    source: _Bus,
     log: Path | None,
-    duration: float,
-    idle: float,
     wanted: Wanted,
+    drives: Drives | None = None,
 ) -> None:
-    """Estimate while frames arrive; see `zygos listen --help`."""
-    arm = load_arm(arm_file)
-    _check_files(out, log, wanted, [arm_file, model_file])
+    """Estimate while frames arrive; see `zygos listen --help`. inputs: the files that outputs may not replace."""
+    _check_files(out, log, wanted, [*inputs, model_file])
     prior = load_model(model_file) if model_file else None
-    flight = (watch := watched(arm, prior, trace=wanted.report is not None)).flight
-    telemetry = Telemetry(arm_database(arm, flight.effects))
+    if drives is None:
+        heard = _Frames(arm, prior, trace=wanted.report is not None)
+        failures = _hear(heard, source, out, log)
+        refined = report_refined(heard.telemetry, arm, shown=not quiet(out, wanted.json))
+        _end(
+            conclude(heard.watch, prior=prior), out, {"bus": str(source), "door": "frames", "refined": refined}, wanted
+        )
+    else:
+        if not arm.grounded:
+            raise ZygosError(
+                f"--drive: arm {arm.name} floats or has flexible joints, and its estimate at the end is that of an arm "
+                "on the ground with rigid ones; remedy: record (candump -L), and use `zygos convert --drive`"
+            )
+        answers = _Answers(arm, drives)
+        failures = _hear(answers, source, out, log)
+        found = estimate_ground([answers.run(str(source))], model=prior)
+        finish_ground(found, out, wanted, partial(provenance, ["listen"], []))
+    if failures:
+        sys.exit(failures[0].exit_code)
+
+
+def _hear(heard: _Frames | _Answers, source: _Bus, out: Path | None, log: Path | None) -> list[ZygosError]:
+    """Hear what comes until nothing comes any more, and record it. Returns what failed meanwhile."""
     batch: list[can.Message] = []
     failures: list[ZygosError] = []
-    where = f"{interface or 'can.conf'} {channel or ''}".strip()
 
     def fail(error: ZygosError) -> None:
         note(str(error))
         failures.append(error)
 
-    with bus.open_bus(interface, channel, bitrate) as source, stop_signals() as stopped:
+    with bus.open_bus(source.interface, source.channel, source.bitrate) as opened, stop_signals() as stopped:
         recording = bus.LogWriter(log) if log is not None else None
 
         def work_off() -> None:
             nonlocal recording
-            watch.frames(bus.from_messages(batch))
+            heard.feed(batch)
             try:
                 if recording is not None:
                     recording.append(batch)
@@ -71,15 +180,16 @@ def listen_bus(
                 fail(error)
             batch.clear()
 
-        note(f"listening to {where}; Ctrl-C ends, with the estimate so far")
+        note(f"listening to {source}; Ctrl-C ends, with the estimate so far")
         begin = time.monotonic()
+
+        def ended() -> bool:
+            return stopped() or (source.duration > 0.0 and time.monotonic() - begin > source.duration)
+
         try:
-            with Screen(watch) as screen:
-                for message in bus.received_messages(
-                    source, idle, lambda: stopped() or (duration > 0.0 and time.monotonic() - begin > duration)
-                ):
+            with Screen(heard) as screen:
+                for message in bus.received_messages(opened, source.idle, ended, heard.counts):
                     batch.append(message)
-                    telemetry.take(message)
                     due = screen.due()
                     if due or len(batch) >= 256:
                         work_off()
@@ -88,27 +198,24 @@ def listen_bus(
         except can.CanError as error:
             fail(
                 Undecided(
-                    f"{where} failed while listening ({error}), the estimate so far is written; remedy: check "
+                    f"{source} failed while listening ({error}), the estimate so far is written; remedy: check "
                     "that the interface is up, and listen again"
                 )
             )
         work_off()
         if stopped():
-            note(_kept(flight, out, log if recording is not None else None))
+            note(_kept(heard.kept(), out, log if recording is not None else None))
     if recording is not None:
         try:
             recording.finish()
         except ZygosError as error:
             fail(error)
-    refined = report_refined(telemetry, arm, shown=not quiet(out, wanted.json))
-    _end(conclude(watch, prior=prior), out, {"bus": where, "door": "frames", "refined": refined}, wanted)
-    if failures:
-        sys.exit(failures[0].exit_code)
+    return failures
 
 
-def _kept(flight: Flight, out: Path | None, log: Path | None) -> str:
+def _kept(estimated: str, out: Path | None, log: Path | None) -> str:
     """What remains of a listening that was stopped."""
-    estimate = f"stopped; the estimate is of {counted(flight.counts['cycles'], 'cycle')}"
+    estimate = f"stopped; {estimated}"
     if out is not None:
         estimate += f" and goes to {named(out)}"
     return estimate + (f", and the frames to {named(log)}" if log is not None else "")
@@ -118,12 +225,12 @@ def _end(found: Estimation, out: Path | None, heading: dict[str, Any], wanted: W
     finish_estimate(found, out, heading, wanted, partial(provenance, ["listen"], []))
 
 
-def _check_files(out: Path | None, log: Path | None, wanted: Wanted, inputs: list[Path | None]) -> None:
+def _check_files(out: Path | None, log: Path | None, wanted: Wanted, inputs: Sequence[Path | None]) -> None:
     """Refuse outputs that have a wrong suffix or would replace an input."""
     check_model_name(out)
     if log is not None:
         bus.check_log_name(log)
-    check_outputs([out, log, wanted.json, wanted.report], inputs)
+    check_outputs([out, log, wanted.json, wanted.report], list(inputs))
 
 
 def watched(arm: Arm, prior: Model | None, *, trace: bool = False) -> Watch:
@@ -136,7 +243,10 @@ def watched(arm: Arm, prior: Model | None, *, trace: bool = False) -> Watch:
 
 
 def command(
-    arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
+    arm: Annotated[
+        Path | None,
+        typer.Option("--arm", metavar="ARM.toml", help="The arm file. Needed unless --urdf is given.", callback=of_arm),
+    ] = None,
     out: Out = None,
     model: Annotated[
         Path | None,
@@ -159,9 +269,15 @@ def command(
     idle: Annotated[
         float,
         typer.Option(
-            metavar="S", min=0.1, help="Stop so many seconds after the last SYNC; the first may take 10 times as long."
+            metavar="S",
+            min=0.1,
+            help="Stop so many seconds after the last SYNC, or frame of a drive; the first may take 10 times as long.",
         ),
     ] = 2.0,
+    drive: Drive = None,
+    nodes: Nodes = None,
+    eds: Eds = None,
+    urdf: Urdf = None,
     json: Json = None,
     report: Report = None,
     details: Details = False,
@@ -177,9 +293,27 @@ def command(
     told: the refined values where they are published, otherwise why they are not, and the innovations of each kind of
     sensor.
 
+    With --drive, the frames are those of drives (classical, of 29 bits, or CAN FD) of an arm on the ground with rigid
+    joints. The table shows the newest angles and torques and how many came; at the end they are brought to the grid of
+    the arm as `zygos convert` does, and estimated as `zygos estimate` does.
+
     Exit code 3 when the estimate is doubtful or refused, or the bus failed; the estimate so far is written
     nevertheless.
 
     Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
+
+    Example: zygos listen -i socketcan -c can0 --drive damiao --nodes 1-7 --urdf arm.urdf -o out/live.toml
     """
-    listen_bus(arm, out, model, interface, channel, bitrate, log, duration, idle, Wanted(json, report, details))
+    drives = named_drives(drive, nodes, eds, arm, urdf)
+    source = _Bus(interface, channel, bitrate, duration, idle)
+    wanted = Wanted(json, report, details)
+    if drives and urdf:
+        with TemporaryDirectory() as folder:
+            file = Path(folder, "arm.toml")
+            write_text(file, arm_text_of(urdf, drives, "listen"))
+            known = load_arm(file)
+    elif arm is None:
+        raise ZygosError("the arm is not described; remedy: give its file with --arm, or with --drive its --urdf")
+    else:
+        known = load_arm(arm)
+    listen_bus(known, [arm, urdf], out, model, source, log, wanted, drives)

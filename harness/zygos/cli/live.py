@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from typing import Protocol
 
 import numpy as np
 from rich.live import Live
@@ -47,12 +48,22 @@ def table_of(watch: Watch, result: Estimate) -> Table:
     return table
 
 
-class Screen:
-    """Shows the state of a watch as often as it may change; a context."""
+class Shown(Protocol):
+    """What has been heard so far, as a line and as a table."""
 
-    def __init__(self, watch: Watch) -> None:
+    def line(self) -> str:
+        """The state in a line."""
+
+    def table(self) -> Table:
+        """The state in a table."""
+
+
+class Screen:
+    """Shows a state as often as it may change; a context."""
+
+    def __init__(self, shown: Shown) -> None:
         """Show nothing yet."""
-        self._watch, self._shown = watch, time.monotonic()
+        self._of, self._shown = shown, time.monotonic()
         self._table = Live(console=errors, auto_refresh=False) if errors.is_terminal else None
 
     def __enter__(self) -> Screen:
@@ -72,9 +83,8 @@ class Screen:
 
     def show(self) -> None:
         """Show the state so far."""
-        result = self._watch.flight.estimate()
         if self._table:
-            self._table.update(table_of(self._watch, result), refresh=True)
+            self._table.update(self._of.table(), refresh=True)
         else:
-            note(line_of(self._watch, result))
+            note(self._of.line())
         self._shown = time.monotonic()

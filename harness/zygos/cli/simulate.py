@@ -4,18 +4,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import can
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
-from zygos.arm import Arm, load_arm
+from zygos.arm import load_arm
 from zygos.can import bus
+from zygos.cli.driven import Drive, Eds, Nodes, named_drives
 from zygos.cli.options import Bitrate, ChannelOption, Interface, Json, Mcap
 from zygos.dynamics.equations import ENGINES
 from zygos.errors import ZygosError
@@ -37,6 +38,8 @@ from zygos.model.model import load_model
 from zygos.native.flight import encode
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
+from zygos.telemetry.drives import Drives
+from zygos.telemetry.frames import Encoder
 from zygos.telemetry.published import measured
 
 
@@ -52,6 +55,7 @@ def simulate_run(
     bitrate: int | None,
     json: str | None,
     mcap: Path | None = None,
+    drives: Drives | None = None,
 ) -> None:
     """Simulate a scenario and record its traffic; see `zygos simulate --help`."""
     if not is_dash(out):
@@ -73,6 +77,7 @@ def simulate_run(
     if seed is not None:
         scenario = replace(scenario, seed=seed)
     model = load_model(model_file or scenario.plant)
+    encoder = Encoder(drives.dictionary(), drives.mapping(arm)) if drives else None
     wanted = interface is not None or channel is not None
     with bus.open_bus(interface, channel, bitrate) if wanted else nullcontext() as wire:
         with progress() as bar:
@@ -86,14 +91,14 @@ def simulate_run(
                 progress=lambda share: bar.update(task, completed=share),
             )
         cycles = trajectory.cycles(0)
-        frames = encode(arm, cycles)
-        bus.write_log(out, frames, arm.period_s)
+        messages = encoder.messages(cycles, arm) if encoder else bus.to_messages(encode(arm, cycles), arm.period_s)
+        bus.write_messages(out, messages)
         if beside and not beside.exists():
             write_bytes(beside, arm_file.read_bytes())
         if mcap:
             write_mcap(mcap, measured(arm, cycles), {"effort": arm.unit("Nm")})
         if wire is not None:
-            send(wire, frames, arm, out)
+            send(wire, messages, out)
     ranges = [
         ("rotor torque", "Nm", float(np.abs(cycles.tau).max())),
         ("link angle", "rad", float(np.abs(cycles.q).max())),
@@ -106,20 +111,19 @@ def simulate_run(
         "seed": scenario.seed,
         "engine": chosen,
         "cycles": len(cycles),
-        "frames": len(frames),
+        "frames": len(messages),
         "duration_s": len(cycles) * arm.period_s,
         "largest": {name: value for name, _, value in ranges},
     }
     if not quiet(out, json):
         table(("largest", "unit", ""), [(name, unit, number(value, 4)) for name, unit, value in ranges])
-        say(f"{out}: {counted(len(cycles), 'cycle')}, {counted(len(frames), 'frame')}, seed {scenario.seed}")
+        say(f"{out}: {counted(len(cycles), 'cycle')}, {counted(len(messages), 'frame')}, seed {scenario.seed}")
     if json:
         write_json(json, summary)
 
 
-def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
-    """Send the frames of a run that is already recorded; each cycle waits for its time."""
-    messages = bus.to_messages(frames, arm.period_s)
+def send(wire: can.BusABC, messages: Sequence[can.Message], run: Path) -> None:
+    """Send the messages of a run that is already recorded; each one waits for its time."""
     with progress() as bar:
         task = bar.add_task("sending", total=len(messages))
         begin = time.monotonic()
@@ -160,6 +164,9 @@ def command(
     interface: Interface = None,
     channel: ChannelOption = None,
     bitrate: Bitrate = None,
+    drive: Drive = None,
+    nodes: Nodes = None,
+    eds: Eds = None,
     json: Json = None,
     mcap: Mcap = None,
 ) -> None:
@@ -169,6 +176,11 @@ def command(
     With -i and -c the frames are also sent on that bus, at the rate of the SYNCs. With --engine, Pinocchio or MuJoCo
     move the same bodies by their own equations, which support no effects.
 
+    With --drive the frames are those of the drives (classical, of 29 bits, or CAN FD), as `zygos convert --drive` and
+    `zygos listen --drive` read them: angles and torques at the instants of the cycles, in the steps of the drive;
+    whatever else is in a frame is 0.
+
     Example: zygos simulate examples/paper/scenario.toml -o out/run.blf
     """
-    simulate_run(scenario, out, model, seed, noise, engine, interface, channel, bitrate, json, mcap)
+    drives = named_drives(drive, nodes, eds)
+    simulate_run(scenario, out, model, seed, noise, engine, interface, channel, bitrate, json, mcap, drives)

@@ -19,8 +19,8 @@ from cantools.database.can import Message, Signal
 
 from zygos.errors import ZygosError
 from zygos.files.inputs import check_file, local
+from zygos.telemetry.dictionary import Dictionary
 from zygos.telemetry.drives import Drives
-from zygos.telemetry.map import Dictionary
 
 POSITION, TORQUE, SECOND_POSITION = (0x6064, 0), (0x6077, 0), (0x60E4, 1)
 """Objects that are read: position, torque as per mille of the rated one, position of a second encoder."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from zygos.telemetry.grid import (
     declared_sigma,
     grid_noise,
     instants,
+    noisier,
     regrid,
     synchronous,
     times_of,
@@ -58,12 +59,6 @@ SPARSE = 10.0
 """Periods of the arm between two samples from which a warning is given."""
 UNLIKE = 5.0
 """Ratio of the motions of motor and link angle of a joint from which a warning is given."""
-
-
-def mended_recording(recording: Recording, mapping: Map, arm: Arm) -> Mended:
-    """The recording without impossible samples. Errors: as `mended`."""
-    sigma = {channel.source: declared_sigma(arm, channel) for channel in mapping.channels}
-    return mended(recording, times_of(recording, mapping), mapping, sigma)
 
 
 def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track], Cycles, dict[str, int]]:
@@ -204,6 +199,36 @@ def fitting_cutoff_hz(cycles: Cycles, arm: Arm) -> float | None:
         return None
     shortest, longest = (rate_cutoff(width, 4) / arm.period_s for width in (HALF_WIDTH_MAX, 3))
     return float(f"{min(max(2.0 * motion, 1.01 * shortest), 0.99 * longest):.2g}")
+
+
+@dataclass(frozen=True)
+class Converted:
+    """A recording on the grid of an arm."""
+
+    mended: Mended
+    """The recording without impossible samples."""
+    found: list[Track]
+    cycles: Cycles
+    lost: dict[str, int]
+    """The number of values left out for each reason."""
+    noise: list[Noise]
+    """What becomes of the noise of each channel."""
+    arm: Arm
+    """With the noise that the cycles have; the very arm that was given where they have no other."""
+
+
+def converted(recording: Recording, mapping: Map, arm: Arm) -> Converted:
+    """Bring a recording to the grid of an arm. Errors: ZygosError for samples that cannot be those of the arm."""
+    sigma = {channel.source: declared_sigma(arm, channel) for channel in mapping.channels}
+    whole = mended(recording, times_of(recording, mapping), mapping, sigma)
+    found, cycles, lost = cycles_of(whole.recording, mapping, arm)
+    noise = noise_of(found, mapping, arm)
+    averaged = averages_torques(found, arm)
+    described = arm
+    if averaged or any(one != Noise() for one in noise):
+        described = replace(noisier(arm, mapping.channels, noise), torque_averaged=averaged or arm.torque_averaged)
+    check_noise(described, found, noise)
+    return Converted(whole, found, cycles, lost, noise, described)
 
 
 def averages_torques(found: Sequence[Track], arm: Arm) -> bool:

@@ -19,7 +19,8 @@ from cantools.database.can import Message
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
-from zygos.telemetry.map import UNITS, Dictionary, Map, closest, map_of
+from zygos.telemetry.dictionary import Dictionary
+from zygos.telemetry.map import UNITS, Map, closest, map_of
 
 _FOLDER = Path(__file__).resolve().parents[1] / "drives"
 PERIOD_S = 0.01
