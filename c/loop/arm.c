@@ -370,6 +370,28 @@ static bool is_ieee(void)
            equal((98.0 * one) / divisor, 2.0) && equal((147.0 * one) / divisor, 3.0);
 }
 
+/* The windows of the signals are empty, and every integral begins. */
+static void begin_integrals(zygos_arm_t *self)
+{
+    zygos_smoother_reset(&self->smoother);
+    zygos_balance_reset(&self->balance);
+    zygos_impulse_reset(&self->impulse);
+    zygos_momentum_reset(&self->momentum);
+    zygos_joint_reset(&self->joint, &self->sums.config);
+}
+
+/* The integrals of a kind of rows begin an arc. */
+static inline void begin_arc(zygos_arm_t *self, uint32_t kind)
+{
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        zygos_balance_new_arc(&self->balance);
+    } else if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
+        zygos_impulse_new_arc(&self->impulse);
+    } else {
+        zygos_momentum_new_arc(&self->momentum);
+    }
+}
+
 int zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
@@ -383,16 +405,12 @@ int zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config)
         return verdict;
     }
     memmove(&self->sums.config, config, sizeof self->sums.config); /* config may point into *self */
-    const zygos_config_t *own = &self->sums.config;
     unsigned char *behind = (unsigned char *)(&self->sums.config + 1);
     memset(self, 0, offsetof(zygos_arm_t, sums.config));
     memset(behind, 0, sizeof *self - offsetof(zygos_arm_t, sums.config) - sizeof self->sums.config);
     make_tables(self);
     zygos_receiver_init(&self->receiver);
-    zygos_balance_reset(&self->balance);
-    zygos_impulse_reset(&self->impulse);
-    zygos_momentum_reset(&self->momentum);
-    zygos_joint_reset(&self->joint, own);
+    begin_integrals(self);
     for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
         zygos_sums_clear(&self->sums, kind);
     }
@@ -401,15 +419,19 @@ int zygos_arm_init(zygos_arm_t *self, const zygos_config_t *config)
     return 1;
 }
 
-int zygos_arm_frame(zygos_arm_t *self, const zygos_frame_t *frame)
+/* Returns 1 where a call may go on, whose other argument is given: or *self. */
+static inline int begun(const zygos_arm_t *self, const void *argument)
 {
-    if ((self == NULL) || (frame == NULL)) {
+    if ((self == NULL) || (argument == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if (self->magic != MAGIC) {
-        return ZYGOS_E_ORDER;
-    }
-    return zygos_receiver_frame(&self->receiver, &self->sums.config, frame);
+    return (self->magic == MAGIC) ? 1 : ZYGOS_E_ORDER;
+}
+
+int zygos_arm_frame(zygos_arm_t *self, const zygos_frame_t *frame)
+{
+    const int verdict = begun(self, frame);
+    return (verdict < 0) ? verdict : zygos_receiver_frame(&self->receiver, &self->sums.config, frame);
 }
 
 /* ---------------------------------------------------------------- ends of arcs
@@ -456,11 +478,7 @@ static void end_free(zygos_arm_t *self)
 static void gap(zygos_arm_t *self)
 {
     self->gaps += (self->smoother.filled > 0) ? 1u : 0u;
-    zygos_smoother_reset(&self->smoother);
-    zygos_balance_reset(&self->balance);
-    zygos_impulse_reset(&self->impulse);
-    zygos_momentum_reset(&self->momentum);
-    zygos_joint_reset(&self->joint, &self->sums.config);
+    begin_integrals(self);
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         if (!zygos_sums_is_ending(&self->sums, kind)) {
             end_in_turn(self, kind);
@@ -566,36 +584,41 @@ static bool proceed_beside(zygos_arm_t *self, uint32_t kind)
     return true;
 }
 
-/* The motor impulse rows of the newest instant, which have arcs of their own. busy: this cycle has done something that
-   costs as much as the part of a task; one is enough. Returns the same. */
-static bool add_impulses(zygos_arm_t *self, bool busy)
+/* Ends an instant of motor or momentum rows, which have arcs of their own: a task proceeds, and the arc ends where it
+   is the longest, or goes on waiting for that. busy: this cycle has done something that costs as much as the part of a
+   task; one is enough. Returns the same. */
+static inline bool end_instant(zygos_arm_t *self, uint32_t kind, bool busy)
 {
-    const zygos_config_t *config = &self->sums.config;
-    if (config->impulse_arc_cycles == 0) {
-        return busy;
-    }
-    if (zygos_impulse_row(&self->impulse, config, &self->sums.motors.column_map, &self->arm_state, &self->motion,
-                          zygos_balance_torque_before(&self->balance),
-                          zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
-        return busy;
-    }
-    const bool waits = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOTOR_ROWS);
-    if (!waits) {
-        zygos_motor_sums_add(&self->sums.motors, config, &self->impulse_rows, self->arm_state.accepted);
-    }
-    busy = busy || proceed_beside(self, (uint32_t)ZYGOS_MOTOR_ROWS);
+    const bool waits = zygos_sums_is_ending(&self->sums, kind);
+    busy = busy || proceed_beside(self, kind);
     if (waits) {
-        go_without_row(self, (uint32_t)ZYGOS_MOTOR_ROWS);
-        zygos_impulse_new_arc(&self->impulse);
-    } else if (self->sums.motors.store.cycles >= config->impulse_arc_cycles) {
-        end_in_turn(self, (uint32_t)ZYGOS_MOTOR_ROWS);
-        zygos_impulse_new_arc(&self->impulse);
+        go_without_row(self, kind);
+        begin_arc(self, kind);
+    } else if (zygos_sums_store(&self->sums, kind)->cycles >= zygos_store_longest(&self->sums.config, kind)) {
+        end_in_turn(self, kind);
+        begin_arc(self, kind);
         busy = true; /* an arc was copied */
     }
     return busy;
 }
 
-/* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. busy: as above. */
+/* The motor impulse rows of the newest instant. busy: as above. Returns the same. */
+static bool add_impulses(zygos_arm_t *self, bool busy)
+{
+    const zygos_config_t *config = &self->sums.config;
+    if ((config->impulse_arc_cycles == 0) ||
+        (zygos_impulse_row(&self->impulse, config, &self->sums.motors.column_map, &self->arm_state, &self->motion,
+                           zygos_balance_torque_before(&self->balance),
+                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0)) {
+        return busy;
+    }
+    if (!zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOTOR_ROWS)) {
+        zygos_motor_sums_add(&self->sums.motors, config, &self->impulse_rows, self->arm_state.accepted);
+    }
+    return end_instant(self, (uint32_t)ZYGOS_MOTOR_ROWS, busy);
+}
+
+/* The momentum row of the newest instant whose turn it is. busy: as above. Returns the same. */
 static bool add_momentum(zygos_arm_t *self, bool busy)
 {
     const zygos_config_t *config = &self->sums.config;
@@ -603,21 +626,11 @@ static bool add_momentum(zygos_arm_t *self, bool busy)
         (zygos_momentum_advance(&self->momentum, config, &self->arm_state) == 0)) {
         return busy;
     }
-    const bool waits = zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS);
-    if (!waits) {
+    if (!zygos_sums_is_ending(&self->sums, (uint32_t)ZYGOS_MOMENTUM_ROWS)) {
         zygos_momentum_sums_add(&self->sums.momentum, config, &self->momentum, &self->arm_state, &self->motion,
                                 self->arm_state.accepted);
     }
-    busy = busy || proceed_beside(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
-    if (waits) {
-        go_without_row(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
-        zygos_momentum_new_arc(&self->momentum);
-    } else if (self->sums.momentum.store.cycles >= config->momentum_arc_cycles) {
-        end_in_turn(self, (uint32_t)ZYGOS_MOMENTUM_ROWS);
-        zygos_momentum_new_arc(&self->momentum);
-        busy = true; /* an arc was copied */
-    }
-    return busy;
+    return end_instant(self, (uint32_t)ZYGOS_MOMENTUM_ROWS, busy);
 }
 
 /* The joint rows: integrals of the newest instant, the row that is due, and the next part of a complete segment.
@@ -762,13 +775,8 @@ static bool is_intact(const zygos_arm_t *self)
 
 int zygos_arm_resume(zygos_arm_t *self, const zygos_config_t *config)
 {
-    if ((self == NULL) || (config == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    if (self->magic != MAGIC) {
-        return ZYGOS_E_ORDER;
-    }
-    const int verdict = zygos_config_check(config);
+    int verdict = begun(self, config);
+    verdict = (verdict < 0) ? verdict : zygos_config_check(config);
     if (verdict < 0) {
         return verdict;
     }
@@ -801,11 +809,9 @@ static void leave_cycle_out(zygos_arm_t *self, const zygos_cycle_t *cycle)
 
 int zygos_arm_step(zygos_arm_t *self)
 {
-    if (self == NULL) {
-        return ZYGOS_E_NULL;
-    }
-    if (self->magic != MAGIC) {
-        return ZYGOS_E_ORDER;
+    const int verdict = begun(self, self);
+    if (verdict < 0) {
+        return verdict;
     }
     if (!zygos_receiver_intact(&self->receiver)) {
         return ZYGOS_E_STATE;
@@ -843,11 +849,9 @@ static bool usable(const zygos_config_t *config, const zygos_cycle_t *cycle)
 
 int zygos_arm_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
 {
-    if ((self == NULL) || (cycle == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    if (self->magic != MAGIC) {
-        return ZYGOS_E_ORDER;
+    const int verdict = begun(self, cycle);
+    if (verdict < 0) {
+        return verdict;
     }
     if (!is_steady(self)) {
         return ZYGOS_E_STATE;
@@ -864,11 +868,9 @@ int zygos_arm_cycle(zygos_arm_t *self, const zygos_cycle_t *cycle)
 
 int zygos_arm_end_arcs(zygos_arm_t *self)
 {
-    if (self == NULL) {
-        return ZYGOS_E_NULL;
-    }
-    if (self->magic != MAGIC) {
-        return ZYGOS_E_ORDER;
+    const int verdict = begun(self, self);
+    if (verdict < 0) {
+        return verdict;
     }
     if (!is_steady(self) || !is_intact(self)) {
         return ZYGOS_E_STATE;
@@ -876,10 +878,8 @@ int zygos_arm_end_arcs(zygos_arm_t *self)
     zygos_sums_settle(&self->sums);
     for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
         zygos_sums_end_arc(&self->sums, kind, self->sums.cycle);
+        begin_arc(self, kind);
     }
-    zygos_balance_new_arc(&self->balance);
-    zygos_impulse_new_arc(&self->impulse);
-    zygos_momentum_new_arc(&self->momentum);
     zygos_sums_end_segment(&self->sums);
     zygos_sums_settle(&self->sums);
     self->moving = moving_of(self);
@@ -896,11 +896,9 @@ void zygos_arm_take(const zygos_arm_t *self, zygos_work_t *work)
 
 int zygos_arm_adopt(zygos_arm_t *self, const zygos_estimate_t *estimate)
 {
-    if ((self == NULL) || (estimate == NULL)) {
-        return ZYGOS_E_NULL;
-    }
-    if (self->magic != MAGIC) {
-        return ZYGOS_E_ORDER;
+    const int verdict = begun(self, estimate);
+    if (verdict < 0) {
+        return verdict;
     }
     if (!is_steady(self) || !is_intact(self)) {
         return ZYGOS_E_STATE;
@@ -934,12 +932,8 @@ int zygos_arm_check(const zygos_arm_t *self, const zygos_config_t *config, zygos
 /* Drops what has not ended: windows, integrals and open arcs. */
 static void drop_unended(zygos_arm_t *self)
 {
-    zygos_smoother_reset(&self->smoother);
+    begin_integrals(self);
     self->smoother.position = 0;
-    zygos_balance_reset(&self->balance);
-    zygos_impulse_reset(&self->impulse);
-    zygos_momentum_reset(&self->momentum);
-    zygos_joint_reset(&self->joint, &self->sums.config);
     for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
         zygos_sums_drop_waiting(&self->sums, kind);
         zygos_sums_drop_after(&self->sums, kind, self->sums.cycle);
@@ -1086,13 +1080,8 @@ int zygos_arm_scrub(zygos_arm_t *self, const zygos_config_t *config)
 
 int zygos_arm_restart(zygos_arm_t *self, uint32_t keep)
 {
-    if (self == NULL) {
-        return ZYGOS_E_NULL;
-    }
-    if (self->magic != MAGIC) {
-        return ZYGOS_E_ORDER;
-    }
-    const int verdict = zygos_config_check(&self->sums.config);
+    int verdict = begun(self, self);
+    verdict = (verdict < 0) ? verdict : zygos_config_check(&self->sums.config);
     if (verdict < 0) {
         return verdict;
     }
@@ -1112,8 +1101,7 @@ int zygos_arm_restart(zygos_arm_t *self, uint32_t keep)
     (void)zygos_receiver_discard(&self->receiver);
     make_tables(self); /* memory may have been changed there */
     self->scrubbed = self->sums.cycle;
-    zygos_balance_reset(&self->balance);
-    zygos_impulse_reset(&self->impulse);
+    begin_integrals(self);
     const uint32_t motors = (uint32_t)ZYGOS_MOTOR_ROWS;
     const bool kept = joints && zygos_sums_is_intact(&self->sums, motors, &self->sums.column_map);
     if (kept) { /* the other sums, which may be corrupt, are cleared */
@@ -1123,8 +1111,6 @@ int zygos_arm_restart(zygos_arm_t *self, uint32_t keep)
         zygos_sums_end_arc(&self->sums, motors, self->sums.cycle);
         zygos_guard_settle(&self->sums, motors);
     }
-    zygos_momentum_reset(&self->momentum);
-    zygos_joint_reset(&self->joint, &self->sums.config);
     for (uint32_t kind = 0; kind < ZYGOS_KINDS_OF_SUMS; kind++) {
         if (!kept || (kind != motors)) {
             zygos_sums_clear(&self->sums, kind);

@@ -133,10 +133,8 @@ static double limit_of(const zygos_finding_t *found, const zygos_mean_squares_t 
 
 static uint32_t longest(const zygos_config_t *config, uint32_t rows)
 {
-    if (rows == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        return zygos_joint_sums_suffice(config) ? zygos_joint_sums_longest(config) : config->arc_cycles;
-    }
-    return (rows == (uint32_t)ZYGOS_MOTOR_ROWS) ? config->impulse_arc_cycles : config->momentum_arc_cycles;
+    const bool joints = (rows == (uint32_t)ZYGOS_ENERGY_ROWS) && zygos_joint_sums_suffice(config);
+    return joints ? zygos_joint_sums_longest(config) : zygos_store_longest(config, rows);
 }
 
 /* Number of consecutive arcs that mean a change of the arm. */

@@ -19,10 +19,7 @@ zygos_store_t *zygos_sums_store(zygos_sums_t *self, uint32_t kind)
 /* The same, for who only reads. */
 static const zygos_store_t *store_of(const zygos_sums_t *self, uint32_t kind)
 {
-    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        return &self->energy.store;
-    }
-    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors.store : &self->momentum.store;
+    return zygos_sums_store((zygos_sums_t *)(uintptr_t)self, kind);
 }
 
 void zygos_sums_drop_waiting(zygos_sums_t *self, uint32_t kind)
@@ -45,14 +42,11 @@ void zygos_sums_clear(zygos_sums_t *self, uint32_t kind)
     case ZYGOS_ENERGY_ROWS:
         zygos_accumulator_init(&self->energy, self->column_map.parameters, config->arc_cycles, config->period_s);
         break;
-    case ZYGOS_MOTOR_ROWS:
-        zygos_store_clear(&self->motors.store, kind, 2.0 * (double)config->impulse_arc_cycles);
-        break;
-    case ZYGOS_MOMENTUM_ROWS:
-        zygos_store_clear(&self->momentum.store, kind, 2.0 * (double)config->momentum_arc_cycles);
+    case ZYGOS_JOINT_KIND:
+        zygos_joint_sums_clear(&self->joints);
         break;
     default:
-        zygos_joint_sums_clear(&self->joints);
+        zygos_store_clear(zygos_sums_store(self, kind), kind, 2.0 * (double)zygos_store_longest(config, kind));
         break;
     }
     self->forgetting[kind] = 1.0;
@@ -132,13 +126,14 @@ uint32_t zygos_sums_drop_until(zygos_sums_t *self, uint32_t kind, uint64_t cycle
 
 static bool scrub(zygos_sums_t *self, uint32_t kind)
 {
-    if (((kind == (uint32_t)ZYGOS_MOTOR_ROWS) && (self->config.impulse_arc_cycles == 0)) ||
-        ((kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) && (self->config.momentum_arc_cycles == 0))) {
+    if (kind == ZYGOS_JOINT_KIND) {
+        return zygos_joint_sums_scrub(&self->joints, &self->config, &self->column_map);
+    }
+    if ((kind != (uint32_t)ZYGOS_ENERGY_ROWS) && (zygos_store_longest(&self->config, kind) == 0)) {
         zygos_sums_clear(self, kind); /* rows that nobody adds must not stop those that are */
         return true;
     }
-    return (kind == ZYGOS_JOINT_KIND) ? zygos_joint_sums_scrub(&self->joints, &self->config, &self->column_map)
-                                      : zygos_store_scrub(zygos_sums_store(self, kind), kind);
+    return zygos_store_scrub(zygos_sums_store(self, kind), kind);
 }
 
 static bool is_whole(const zygos_sums_t *self, uint32_t kind)

@@ -119,6 +119,15 @@ static inline bool zygos_store_steady(const zygos_store_t *self)
     return self->twin == zygos_store_twin(self);
 }
 
+/// Returns the cycles of the longest arc of such rows; 0: there are none.
+static inline uint32_t zygos_store_longest(const zygos_config_t *config, uint32_t kind)
+{
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        return config->arc_cycles;
+    }
+    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? config->impulse_arc_cycles : config->momentum_arc_cycles;
+}
+
 /// Returns whether an arc is closing.
 static inline bool zygos_store_closing(const zygos_store_t *self)
 {
