@@ -2,6 +2,7 @@
 #include "zygos/priv/change.h"
 
 #include "zygos/priv/effects.h"
+#include "zygos/priv/numbers.h"
 #include "zygos/priv/solver.h"
 
 #include <string.h>
@@ -33,22 +34,17 @@ typedef struct {
     uint32_t gains;   /* and these, which are the last. */
 } newest_t;
 
-static double packed_entry(const double *packed, uint32_t i, uint32_t j)
-{
-    return packed[zygos_gram_place(i, j)];
-}
-
 /* An entry of the sums from which as much noise is subtracted as from those of the running solution. */
 static double newest_entry(const newest_t *self, uint32_t i, uint32_t j)
 {
-    return packed_entry(self->gram, i, j) + (1.0 - self->share) * packed_entry(self->noise, i, j);
+    return zygos_gram_entry(self->gram, i, j) + (1.0 - self->share) * zygos_gram_entry(self->noise, i, j);
 }
 
 /* Cholesky factor of the matrix, scaled by its diagonal with the noise. */
 static void factorise_newest(const newest_t *self)
 {
     for (uint32_t i = 0; i < self->columns; i++) {
-        const double square = packed_entry(self->gram, i, i) + packed_entry(self->noise, i, i);
+        const double square = zygos_gram_entry(self->gram, i, i) + zygos_gram_entry(self->noise, i, i);
         self->scale[i] = (square > 0.0) ? 1.0 / __builtin_sqrt(square) : 0.0;
         double *row = &self->factor[zygos_gram_entries(i)];
         for (uint32_t j = 0; j <= i; j++) {
@@ -79,10 +75,10 @@ static void solve_newest(const newest_t *self, double *x)
         x[i] = (row[i] > 0.0) ? sum / row[i] : 0.0;
     }
     for (uint32_t i = n; i-- > 0;) {
-        const double own = packed_entry(self->factor, i, i);
+        const double own = zygos_gram_entry(self->factor, i, i);
         double sum = x[i];
         for (uint32_t j = i + 1u; j < n; j++) {
-            sum -= packed_entry(self->factor, j, i) * x[j];
+            sum -= zygos_gram_entry(self->factor, j, i) * x[j];
         }
         x[i] = (own > 0.0) ? sum / own : 0.0;
     }
@@ -91,19 +87,10 @@ static void solve_newest(const newest_t *self, double *x)
     }
 }
 
-/* x' G x of the sums with their noise, or of the noise alone. */
-static double newest_form(const newest_t *self, const double *x, uint32_t n, bool alone)
+/* x' G x of the sums with their noise. */
+static double newest_form(const newest_t *self, const double *x, uint32_t n)
 {
-    double sum = 0.0;
-    for (uint32_t i = 0; i < n; i++) {
-        double product = 0.0;
-        for (uint32_t j = 0; j <= i; j++) {
-            const double entry = packed_entry(self->noise, i, j) + (alone ? 0.0 : packed_entry(self->gram, i, j));
-            product += (i == j) ? 0.5 * entry * x[j] : entry * x[j];
-        }
-        sum += 2.0 * product * x[i];
-    }
-    return sum;
+    return zygos_gram_form(self->gram, x, n) + zygos_gram_form(self->noise, x, n);
 }
 
 /* Solves the rows for the shift from the running solution: what it leaves of the right side, times A^-1. */
@@ -130,14 +117,14 @@ static bool is_explained(newest_t *self, const zygos_config_t *config)
         self->column[i] = guard->solution[i] + ((i < self->columns) ? self->shift[i] : 0.0);
     }
     self->column[p] = -1.0;
-    const double left = newest_form(self, self->column, p + 1u, false);
-    const double declared = newest_form(self, self->column, p + 1u, true) + self->torque_noise * self->instants;
+    const double left = newest_form(self, self->column, p + 1u);
+    const double declared = zygos_gram_form(self->noise, self->column, p + 1u) + self->torque_noise * self->instants;
     const double known = guard->energy.residual * self->instants;
-    const double expected = (guard->noise_ratio * declared > known) ? guard->noise_ratio * declared : known;
-    self->square = ((left > known) ? left : known) / self->instants *
-                   (guard->cluster + ENDS * window * self->arcs / self->instants);
+    const double expected = zygos_larger(guard->noise_ratio * declared, known);
+    self->square =
+        zygos_larger(left, known) / self->instants * (guard->cluster + ENDS * window * self->arcs / self->instants);
     return left <= zygos_guard_chi_square_limit(self->instants / window) * expected +
-                       ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * packed_entry(self->gram, p, p);
+                       ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * zygos_gram_entry(self->gram, p, p);
 }
 
 static void compare_newest(const newest_t *self, zygos_change_t *out)
@@ -146,9 +133,10 @@ static void compare_newest(const newest_t *self, zygos_change_t *out)
         memset(self->column, 0, self->columns * sizeof self->column[0]);
         self->column[i] = 1.0;
         solve_newest(self, self->column);
-        const double scatter = self->square * newest_form(self, self->column, self->columns, false);
-        if (packed_entry(self->factor, i, i) > 0.0) {
-            out->deviation[i] = self->shift[i] / __builtin_sqrt(packed_entry(self->guard->covariance, i, i) + scatter);
+        const double scatter = self->square * newest_form(self, self->column, self->columns);
+        if (zygos_gram_entry(self->factor, i, i) > 0.0) {
+            out->deviation[i] =
+                self->shift[i] / __builtin_sqrt(zygos_gram_entry(self->guard->covariance, i, i) + scatter);
         }
     }
 }

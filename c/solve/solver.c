@@ -76,22 +76,6 @@ static void multiply_symmetric(const double *packed, const double *x, uint32_t n
     }
 }
 
-/* Sum over i, j of x_i x_j entry, x_p = -1. */
-static double form(const double *packed, const double *x, uint32_t p)
-{
-    double sum = 0.0;
-    for (uint32_t i = 0; i <= p; i++) {
-        const double *row = &packed[entry_at(i, 0)];
-        const double own = (i < p) ? x[i] : -1.0;
-        double along = 0.0;
-        for (uint32_t j = 0; j < i; j++) {
-            along += row[j] * x[j];
-        }
-        sum += own * (2.0 * along + row[i] * own);
-    }
-    return sum;
-}
-
 /* sum += a b of two numbers side by side. */
 static inline void accumulate(double *sum, const double *a, const double *b)
 {
@@ -149,7 +133,7 @@ static double invert(const zygos_solver_t *work, uint32_t p, double *diagonal)
             for (uint32_t j = 0; j < p; j++) {
                 sum += zygos_magnitude(x[j][side]);
             }
-            norm = (sum > norm) ? sum : norm;
+            norm = zygos_larger(sum, norm);
             diagonal[i + side] = x[i + side][side];
         }
     }
@@ -398,49 +382,38 @@ static void solve_again(const zygos_solver_t *work, uint32_t p, double (*x)[2])
     }
 }
 
-/* Where column c of the motor row of joint i stands; behind the last of them the right side. */
-static uint32_t place_of(const zygos_solver_t *work, uint32_t i, uint32_t c)
-{
-    const zygos_impulse_column_map_t *motor = &work->sums->motors.column_map;
-    const zygos_column_map_t *column_map = &work->column_map;
-    if (c < 3u) {
-        return column_map->place[column_map->joint[i] + c];
-    }
-    return (c < motor->count[i]) ? column_map->reduced + motor->effect[i][c - 3u] : column_map->parameters;
-}
-
-/* Every stride-th number of out += factor times a packed matrix of joint i; sides: its right side as well. */
-static void embed(const zygos_solver_t *work, uint32_t i, const double *local, double factor, bool sides, double *out,
+/* Every stride-th number of out += factor times a packed matrix whose columns have these places, or none. */
+static void embed(const double *local, const uint32_t *place, uint32_t count, double factor, double *out,
                   uint32_t stride)
 {
-    const uint32_t count = work->sums->motors.column_map.count[i];
-    for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
-        const uint32_t place_a = place_of(work, i, a);
-        for (uint32_t b = 0; b <= a; b++) {
-            out[stride * zygos_gram_place(place_a, place_of(work, i, b))] += factor * local[entry_at(a, b)];
-        }
-    }
-}
-
-/* Where column c of the momentum rows stands, if it does. Places ascend. */
-static uint32_t momentum_place(const zygos_solver_t *work, uint32_t c)
-{
-    const zygos_column_map_t *column_map = &work->column_map;
-    return column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
-}
-
-/* The same of a matrix of the momentum rows. */
-static void embed_momentum(const zygos_solver_t *work, const double *local, double factor, double *out, uint32_t stride)
-{
-    for (uint32_t a = 0; a < work->sums->momentum.columns; a++) {
-        const uint32_t place_a = momentum_place(work, a);
-        for (uint32_t b = 0; (b <= a) && (place_a != ZYGOS_NO_PLACE); b++) {
-            const uint32_t place_b = momentum_place(work, b);
-            if (place_b != ZYGOS_NO_PLACE) {
-                out[stride * entry_at(place_a, place_b)] += factor * local[entry_at(a, b)];
+    for (uint32_t a = 0; a < count; a++) {
+        for (uint32_t b = 0; (b <= a) && (place[a] != ZYGOS_NO_PLACE); b++) {
+            if (place[b] != ZYGOS_NO_PLACE) {
+                out[stride * zygos_gram_place(place[a], place[b])] += factor * local[entry_at(a, b)];
             }
         }
     }
+}
+
+/* The entries of x at these places, 0 where there is none. */
+static void gather(const double *x, const uint32_t *place, uint32_t count, double *out)
+{
+    for (uint32_t a = 0; a < count; a++) {
+        out[a] = (place[a] != ZYGOS_NO_PLACE) ? x[place[a]] : 0.0;
+    }
+}
+
+/* The places of the columns of the motor rows of joint i, with that of the right side. Returns their number, 0 where
+   there are no such rows. */
+static uint32_t motor_places(const zygos_solver_t *work, uint32_t i, uint32_t *place)
+{
+    const uint32_t count = zygos_motor_sums_places(&work->sums->motors, &work->column_map, i, place);
+    return (count > 0) ? count + 1u : 0u;
+}
+
+static uint32_t momentum_places(const zygos_solver_t *work, uint32_t *place)
+{
+    return zygos_momentum_sums_places(&work->sums->momentum, &work->column_map, place);
 }
 
 /* The factor of a group of joint rows in the total. */
@@ -483,7 +456,7 @@ static double norm_of(const zygos_solver_t *work, uint32_t p, uint32_t rank)
                           ? zygos_magnitude(work->matrix[zygos_gram_place(i, j)][0])
                           : 0.0;
         }
-        norm = (column > norm) ? column : norm;
+        norm = zygos_larger(column, norm);
     }
     return norm;
 }
@@ -524,22 +497,32 @@ static void add_squares(double *covariance, uint32_t p, double (*x)[2], const do
 
 /* The blocks of all kinds of rows, in the order in which they are left out. */
 typedef struct {
-    uint32_t energy;  ///< Number of blocks of energy rows.
-    uint32_t motors;  ///< The same with the arcs of motor rows behind them.
-    uint32_t momenta; ///< The same with those of momentum rows.
-    uint32_t all;     ///< The same with the groups of joint rows.
-    double overlap;   ///< Blocks of energy rows overlap: the squares of their weights add up to less than the weights.
+    uint32_t end[ZYGOS_KINDS_OF_SUMS]; ///< Number of blocks of each kind, with those of the kinds before it.
+    double overlap; ///< Blocks of energy rows overlap: the squares of their weights add up to less than the weights.
 } parts_t;
+
+static uint32_t blocks_of(const zygos_solver_t *work, uint32_t kind)
+{
+    return work->blocks[kind].end - work->blocks[kind].first;
+}
+
+static uint32_t blocks_of_all(const parts_t *parts)
+{
+    return parts->end[ZYGOS_JOINT_KIND];
+}
 
 static parts_t parts_of(const zygos_solver_t *work)
 {
-    parts_t out = { .energy = work->blocks.end - work->blocks.first };
+    parts_t out = { .overlap = 1.0 };
     double instants = 0.0;
     double square = 0.0;
-    out.motors = out.energy + (work->arcs.end - work->arcs.first);
-    out.momenta = out.motors + (work->momenta.end - work->momenta.first);
-    out.all = out.momenta + ((work->joints_weight > 0.0) ? (uint32_t)ZYGOS_GROUP_PLACES : 0u);
-    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+    uint32_t end = 0;
+    for (uint32_t kind = 0; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        end += blocks_of(work, kind);
+        out.end[kind] = end;
+    }
+    out.end[ZYGOS_JOINT_KIND] = end + ((work->joints_weight > 0.0) ? (uint32_t)ZYGOS_GROUP_PLACES : 0u);
+    for (uint32_t b = work->blocks[ZYGOS_ENERGY_ROWS].first; b < work->blocks[ZYGOS_ENERGY_ROWS].end; b++) {
         instants += zygos_accumulator_at(&work->sums->energy, b)->head.total;
         square += zygos_accumulator_at(&work->sums->energy, b)->square;
     }
@@ -556,6 +539,26 @@ typedef struct {
     double share[2];
 } couple_t;
 
+/* Adds an arc of motor rows, or of momentum rows, to every stride-th number of out. */
+static void add_motor_arc(const zygos_solver_t *work, uint32_t rank, double *out, uint32_t stride)
+{
+    const zygos_motor_block_t *arc = zygos_motor_sums_at(&work->sums->motors, rank);
+    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
+        uint32_t place[ZYGOS_MAX_IMPULSE + 1];
+        if (work->weight[i] > 0.0) {
+            embed(arc->joint[i].gram, place, motor_places(work, i, place), work->weight[i], out, stride);
+        }
+    }
+}
+
+static void add_momentum_arc(const zygos_solver_t *work, uint32_t rank, double *out, uint32_t stride)
+{
+    uint32_t place[ZYGOS_MAX_MOMENTUM];
+    const uint32_t columns = momentum_places(work, place);
+    const zygos_momentum_block_t *arc = zygos_momentum_sums_at(&work->sums->momentum, rank);
+    embed(arc->rows.gram, place, columns, work->momentum_weight, out, stride);
+}
+
 /* Adds the sums of block b to one side of work->matrix. */
 static void add_block(const zygos_solver_t *work, uint32_t p, const parts_t *parts, uint32_t b, couple_t *couple)
 {
@@ -563,30 +566,27 @@ static void add_block(const zygos_solver_t *work, uint32_t p, const parts_t *par
     double *out = &work->matrix[0][side];
     const double *gram = NULL;
     double weight = 1.0;
+    uint32_t kind = 0;
+    while ((kind < ZYGOS_JOINT_KIND) && (b >= parts->end[kind])) {
+        kind++;
+    }
+    const uint32_t rank = b - ((kind > 0) ? parts->end[kind - 1u] : 0u);
     couple->factor[side] = 1.0;
-    if (b < parts->energy) {
-        const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, work->blocks.first + b);
+    if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, work->blocks[kind].first + rank);
         gram = block->gram;
         couple->factor[side] = parts->overlap;
         couple->share[side] = block->head.total / work->instants;
         couple->own[side] = couple->share[side];
-    } else if (b < parts->motors) {
-        const zygos_motor_block_t *arc = zygos_motor_sums_at(&work->sums->motors, work->arcs.first + b - parts->energy);
-        for (uint32_t i = 0; i < work->sums->config.joints; i++) {
-            if (work->weight[i] > 0.0) {
-                embed(work, i, arc->joint[i].gram, work->weight[i], true, out, 2u);
-            }
-        }
-    } else if (b < parts->momenta) {
-        const zygos_momentum_block_t *arc =
-            zygos_momentum_sums_at(&work->sums->momentum, work->momenta.first + b - parts->motors);
-        embed_momentum(work, arc->rows.gram, work->momentum_weight, out, 2u);
+    } else if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
+        add_motor_arc(work, work->blocks[kind].first + rank, out, 2u);
+    } else if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
+        add_momentum_arc(work, work->blocks[kind].first + rank, out, 2u);
     } else {
-        const uint32_t g = b - parts->momenta;
-        gram = work->sums->joints.group[g].gram;
-        weight = group_factor(work, g);
+        gram = work->sums->joints.group[rank].gram;
+        weight = group_factor(work, rank);
         couple->share[side] =
-            work->joints_alone ? work->sums->joints.fade[g] * work->sums->joints.count[g] / work->instants : 0.0;
+            work->joints_alone ? work->sums->joints.fade[rank] * work->sums->joints.count[rank] / work->instants : 0.0;
     }
     for (uint32_t k = 0; (gram != NULL) && (k < entry_at(p + 1u, 0)); k++) {
         out[2u * k] = weight * gram[k];
@@ -599,10 +599,9 @@ static couple_t influences(zygos_solver_t *work, uint32_t p, const parts_t *part
 {
     couple_t out = { .count = 0 };
     memset(work->matrix, 0, entry_at(p + 1u, 0) * sizeof work->matrix[0]);
-    for (uint32_t k = b; (k < b + 2u) && (k < parts->all); k++) {
+    for (uint32_t k = b; (k < b + 2u) && (k < blocks_of_all(parts)); k++) {
         add_block(work, p, parts, k, &out);
     }
-    work->solution[p] = -1.0;
     for (uint32_t i = 0; i <= p; i++) {
         double(*row)[2] = &work->matrix[entry_at(i, 0)];
         double sum[2] = { 0.0 };
@@ -631,7 +630,6 @@ static couple_t influences(zygos_solver_t *work, uint32_t p, const parts_t *part
 /* right_side := the declared noise of the energy rows times the solution, which the scores of the blocks share. */
 static void score_noise(const zygos_solver_t *work, uint32_t p)
 {
-    work->solution[p] = -1.0;
     multiply_symmetric(work->sums->energy.noise_closed.gram, work->solution, p + 1u, work->right_side);
     for (uint32_t i = 0; i < p; i++) {
         work->right_side[i] *= work->noise_fraction;
@@ -662,7 +660,7 @@ static bool leave_out_both(const zygos_solver_t *work, uint32_t p, uint32_t rank
         const double factor = couple->factor[side];
         for (uint32_t i = 0; i < p; i++) {
             const double gain = work->pull[i][side] - work->inverse[i];
-            const double more = (gain > 0.0) ? gain : 0.0;
+            const double more = zygos_larger(gain, 0.0);
             const double own = factor * work->influence[i][side];
             work->information[0][i] += more;
             work->information[1][i] += more * more;
@@ -680,10 +678,9 @@ static void finish_jackknife(zygos_solver_t *work, uint32_t p, double *covarianc
         const double several = work->information[0][i] * work->information[0][i];
         double degrees_of_freedom = (work->information[1][i] > 0.0) ? several / work->information[1][i] : 1.0;
         degrees_of_freedom -= work->joints_alone ? 1.0 : 0.0;
-        work->degrees_of_freedom[i] = (degrees_of_freedom > 2.0) ? degrees_of_freedom : 2.0;
+        work->degrees_of_freedom[i] = zygos_larger(degrees_of_freedom, 2.0);
         /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
-        const double least = work->linearised_variance[i];
-        const double variance = (work->product[i] > least) ? work->product[i] : least;
+        const double variance = zygos_larger(work->product[i], work->linearised_variance[i]);
         work->product[i] = (variance > 0.0) ? __builtin_sqrt(variance / covariance[entry_at(i, i)]) : 1.0;
     }
     for (uint32_t i = 0; i < p; i++) {
@@ -709,7 +706,7 @@ static void jackknife(zygos_solver_t *work, uint32_t p, uint32_t rank, double *c
     }
     memset(covariance, 0, entry_at(p, 0) * sizeof covariance[0]);
     score_noise(work, p);
-    for (uint32_t b = 0; (b < parts.all) && !once; b += 2u) {
+    for (uint32_t b = 0; (b < blocks_of_all(&parts)) && !once; b += 2u) {
         const couple_t couple = influences(work, p, &parts, b);
         once = !leave_out_both(work, p, rank, &couple, covariance);
     }
@@ -756,7 +753,7 @@ static void measure_columns(const zygos_solver_t *work, const double *x, double 
     uint32_t b = 0;
     for (uint32_t k = 0; k < column_map->body; k++) {
         if (k >= column_map->kinetic) {
-            moment = (zygos_magnitude(x[k]) > moment) ? zygos_magnitude(x[k]) : moment;
+            moment = zygos_larger(zygos_magnitude(x[k]), moment);
         } else if (!pair_of(&work->sums->config, k, &a, &b) && (a == b)) {
             diagonal[a] = zygos_magnitude(x[k]);
         }
@@ -770,7 +767,7 @@ static void measure_columns(const zygos_solver_t *work, const double *x, double 
             (void)pair_of(&work->sums->config, k, &a, &b);
             size[k] = __builtin_sqrt(diagonal[a] * diagonal[b]);
         }
-        size[k] = (size[k] > zygos_magnitude(x[k])) ? size[k] : zygos_magnitude(x[k]);
+        size[k] = zygos_larger(size[k], zygos_magnitude(x[k]));
     }
 }
 
@@ -973,6 +970,7 @@ static void solve_with(const zygos_solver_t *work, uint32_t p, uint32_t rank, do
     for (uint32_t i = 0; i < p; i++) {
         work->solution[i] = work->change[i][0];
     }
+    work->solution[p] = -1.0; /* beside the right side */
     for (uint32_t k = 0; k < entry_at(p, 0); k++) {
         work->factor[k] = work->matrix[k][0];
     }
@@ -1029,12 +1027,11 @@ static double noise_share(zygos_solver_t *work, uint32_t p, uint32_t rank)
         share = (sums > 0.0) ? noise / sums : 0.0;
         substitute(work->factor, 0, p, next);
         for (uint32_t i = 0; i < p; i++) {
-            length = (zygos_magnitude(next[i][0]) > length) ? zygos_magnitude(next[i][0]) : length;
+            length = zygos_larger(zygos_magnitude(next[i][0]), length);
         }
         change = 0.0;
         for (uint32_t i = 0; (i < p) && (length > 0.0); i++) {
-            const double step = zygos_magnitude(next[i][0] / length - v[i]);
-            change = (step > change) ? step : change;
+            change = zygos_larger(zygos_magnitude(next[i][0] / length - v[i]), change);
             v[i] = next[i][0] / length;
             along[i] = noisy[i] / length;
         }
@@ -1043,46 +1040,49 @@ static double noise_share(zygos_solver_t *work, uint32_t p, uint32_t rank)
 }
 
 /* Sum over the columns of the momentum rows of x_a x_b entry. */
-static double momentum_form(const zygos_solver_t *work, const zygos_momentum_gram_t *rows, const double *x)
+static double momentum_form(const zygos_solver_t *work, const zygos_momentum_gram_t *rows)
 {
+    uint32_t place[ZYGOS_MAX_MOMENTUM];
     double local[ZYGOS_MAX_MOMENTUM];
-    for (uint32_t a = 0; a < work->sums->momentum.columns; a++) {
-        const uint32_t place = momentum_place(work, a);
-        local[a] = (place != ZYGOS_NO_PLACE) ? x[place] : 0.0;
-    }
-    return form(rows->gram, local, work->sums->momentum.columns);
+    const uint32_t columns = momentum_places(work, place);
+    gather(work->solution, place, columns, local);
+    return zygos_gram_form(rows->gram, local, columns);
 }
 
-/* The squared residuals of the energy rows for x, including noise, and the part of the declared noise in them [J^2]; or
-   of the joint rows where they alone are solved. */
-static double energy_left(const zygos_solver_t *work, uint32_t p, const double *x, double *explained)
+/* The squared residuals of the energy rows at the solution, including noise, and the part of the declared noise in them
+   [J^2]; or of the joint rows where they alone are solved. */
+static double energy_left(const zygos_solver_t *work, uint32_t p, double *explained)
 {
-    double left = form(work->total, x, p);
+    const double *x = work->solution;
+    const zygos_sums_t *sums = work->sums;
+    double left = zygos_gram_form(work->total, x, p + 1u);
     if (work->joints_alone) {
-        *explained = form(work->noise, x, p);
+        *explained = zygos_gram_form(work->noise, x, p + 1u);
         left += *explained;
-        *explained += work->instants * zygos_joint_sums_torque_noise(&work->sums->joints, &work->sums->config);
-        return (left > 0.0) ? left : 0.0;
+        *explained += work->instants * zygos_joint_sums_torque_noise(&sums->joints, &sums->config);
+        return zygos_larger(left, 0.0);
     }
     for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (work->joints_weight > 0.0); g++) {
-        left -= group_factor(work, g) * form(work->sums->joints.group[g].gram, x, p);
+        left -= group_factor(work, g) * zygos_gram_form(sums->joints.group[g].gram, x, p + 1u);
     }
-    for (uint32_t i = 0; i < work->sums->config.joints; i++) {
-        const uint32_t count = work->sums->motors.column_map.count[i];
+    const zygos_range_t arcs = work->blocks[ZYGOS_MOTOR_ROWS];
+    for (uint32_t i = 0; i < sums->config.joints; i++) {
+        uint32_t place[ZYGOS_MAX_IMPULSE + 1];
         double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
-        for (uint32_t a = 0; a < count; a++) {
-            local[a] = x[place_of(work, i, a)];
-        }
-        for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (count > 0); b++) {
-            left -= work->weight[i] * form(zygos_motor_sums_at(&work->sums->motors, b)->joint[i].gram, local, count);
+        const uint32_t columns = motor_places(work, i, place);
+        gather(x, place, columns, local);
+        for (uint32_t b = arcs.first; (b < arcs.end) && (columns > 0); b++) {
+            left -=
+                work->weight[i] * zygos_gram_form(zygos_motor_sums_at(&sums->motors, b)->joint[i].gram, local, columns);
         }
     }
-    for (uint32_t b = work->momenta.first; (b < work->momenta.end) && (work->momentum_weight > 0.0); b++) {
-        left -= work->momentum_weight * momentum_form(work, &zygos_momentum_sums_at(&work->sums->momentum, b)->rows, x);
+    const zygos_range_t momenta = work->blocks[ZYGOS_MOMENTUM_ROWS];
+    for (uint32_t b = momenta.first; (b < momenta.end) && (work->momentum_weight > 0.0); b++) {
+        left -= work->momentum_weight * momentum_form(work, &zygos_momentum_sums_at(&sums->momentum, b)->rows);
     }
-    *explained = work->noise_fraction * form(work->sums->energy.noise_closed.gram, x, p);
+    *explained = work->noise_fraction * zygos_gram_form(sums->energy.noise_closed.gram, x, p + 1u);
     left += *explained;
-    return (left > 0.0) ? left : 0.0;
+    return zygos_larger(left, 0.0);
 }
 
 /* Chooses the share of the declared noise that is subtracted: as much as the residuals show if that is clearly less,
@@ -1106,7 +1106,7 @@ static uint32_t solve_beside_noise(zygos_solver_t *work, uint32_t p, uint32_t ra
     work->noise_scale = most;
     for (uint32_t round = 0; round < 2u; round++) {
         double explained = 0.0;
-        const double unexplained = energy_left(work, p, work->solution, &explained);
+        const double unexplained = energy_left(work, p, &explained);
         seen = (unexplained < ZYGOS_OVERDECLARED * explained) ? unexplained / explained : 1.0;
         const double next = (seen < most) ? seen : most;
         if ((next < work->noise_scale) || (next > work->noise_scale)) {
@@ -1131,14 +1131,16 @@ static uint32_t scale_sums(zygos_solver_t *work, uint32_t p)
     return independent(work, p);
 }
 
-/* The values x of the columns of the motor rows of joint i. Returns the mean square of the noise that the signals of an
-   instant have in such a row. */
+/* The values x of the columns of the motor rows of joint i, with -1 for the right side. Returns the mean square of the
+   noise that the signals of an instant have in such a row. */
 static double motor_noise(const zygos_solver_t *work, uint32_t i, double *x)
 {
     const zygos_motor_sums_t *sums = &work->sums->motors;
+    uint32_t place[ZYGOS_MAX_IMPULSE + 1];
+    const uint32_t columns = motor_places(work, i, place);
     double sum = 0.0;
-    for (uint32_t a = 0; a < sums->column_map.count[i]; a++) {
-        x[a] = work->solution[place_of(work, i, a)];
+    gather(work->solution, place, columns, x);
+    for (uint32_t a = 0; a + 1u < columns; a++) {
         for (uint32_t b = 0; b <= a; b++) {
             sum += ((a == b) ? 1.0 : 2.0) * x[a] * x[b] * sums->noise[i][entry_at(a, b)];
         }
@@ -1151,7 +1153,7 @@ static double motor_noise(const zygos_solver_t *work, uint32_t i, double *x)
 static double joint_variance(const zygos_solver_t *work, uint32_t i)
 {
     const zygos_joint_config_t *joint = &work->sums->config.joint[i];
-    double x[ZYGOS_MAX_IMPULSE] = { 0.0 };
+    double x[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
     const double noise = motor_noise(work, i, x);
     const double arc_s = work->sums->config.period_s * (double)work->sums->config.impulse_arc_cycles;
     const double reading =
@@ -1164,15 +1166,19 @@ static double joint_variance(const zygos_solver_t *work, uint32_t i)
 static void add_motors(zygos_solver_t *work, double energy)
 {
     const zygos_motor_sums_t *sums = &work->sums->motors;
-    const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_MIN_ARCS);
+    const zygos_range_t arcs = work->blocks[ZYGOS_MOTOR_ROWS];
+    const bool enough = (arcs.end - arcs.first >= ZYGOS_MIN_ARCS);
     for (uint32_t i = 0; i < work->sums->config.joints; i++) {
-        if ((sums->column_map.count[i] > 0) && !(work->weight[i] > 0.0)) {
+        uint32_t place[ZYGOS_MAX_IMPULSE + 1];
+        const uint32_t columns = motor_places(work, i, place);
+        if ((columns > 0) && !(work->weight[i] > 0.0)) {
             const double joint = joint_variance(work, i);
             work->weight[i] = ((joint > 0.0) && enough) ? energy / joint : 0.0;
         }
-        for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (work->weight[i] > 0.0); b++) {
-            embed(work, i, zygos_motor_sums_at(sums, b)->joint[i].gram, work->weight[i], true, work->total, 1u);
-            embed(work, i, sums->noise[i], work->weight[i] * zygos_motor_sums_at(sums, b)->instants[i], false,
+        for (uint32_t b = arcs.first; (b < arcs.end) && (work->weight[i] > 0.0); b++) {
+            const zygos_motor_block_t *arc = zygos_motor_sums_at(sums, b);
+            embed(arc->joint[i].gram, place, columns, work->weight[i], work->total, 1u);
+            embed(sums->noise[i], place, (columns > 0) ? columns - 1u : 0u, work->weight[i] * arc->instants[i],
                   work->noise, 1u);
         }
     }
@@ -1194,17 +1200,17 @@ static void add_common_error(const zygos_solver_t *work, uint32_t p, double syst
 {
     const double half_s = 0.5 * work->sums->config.period_s * (double)work->sums->config.joint_row_cycles;
     const double joints = (double)work->sums->config.joints;
-    const double blocks =
-        work->joints_alone ? work->sums->joints.joint_sums / joints : (double)(work->blocks.end - work->blocks.first);
+    const double blocks = work->joints_alone ? work->sums->joints.joint_sums / joints
+                                             : (double)blocks_of(work, (uint32_t)ZYGOS_ENERGY_ROWS);
     const double arcs = work->joints_alone ? work->instants / joints * half_s / SYSTEMATIC_S
                                            : work->instants / (double)work->sums->config.arc_cycles;
     /* The noise of torques adds up from row to row, as far as any noise does. */
     const double noise = work->joints_alone ? ZYGOS_CLUSTER_LIMIT : ZYGOS_CLUSTER_NOISE;
     const double alike = (out->cluster > noise) ? 1.0 - noise / out->cluster : 0.0;
     const double adds = (blocks - 1.0) * alike;
-    const double stays = arcs * ((systematic > ZYGOS_SYSTEMATIC) ? systematic : ZYGOS_SYSTEMATIC);
+    const double stays = arcs * zygos_larger(systematic, ZYGOS_SYSTEMATIC);
     for (uint32_t k = 0; k < entry_at(p, 0); k++) {
-        out->covariance[k] *= 1.0 + ((adds > stays) ? adds : stays);
+        out->covariance[k] *= 1.0 + zygos_larger(adds, stays);
     }
 }
 
@@ -1227,19 +1233,20 @@ static void add_torque_noise(zygos_solver_t *work, uint32_t p, double *covarianc
     double(*x)[2] = work->influence; /* the sums so far, and the next ones */
     double(*step)[2] = work->column; /* of two blocks */
     double(*rest)[2] = work->change;
+    const zygos_range_t used = work->blocks[ZYGOS_ENERGY_ROWS];
     memset(x, 0, p * sizeof x[0]);
     memset(rest, 0, p * sizeof rest[0]);
-    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+    for (uint32_t b = used.first; b < used.end; b++) {
         scale_deviation(work, p, b, &rest[0][0]);
     }
     solve_again(work, p, rest);
-    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+    for (uint32_t b = used.first; b < used.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
-        const uint32_t side = (b - work->blocks.first) % 2u;
+        const uint32_t side = (b - used.first) % 2u;
         if (side == 0u) {
             memset(step, 0, p * sizeof step[0]);
             scale_deviation(work, p, b, &step[0][0]);
-            if (b + 1u < work->blocks.end) {
+            if (b + 1u < used.end) {
                 scale_deviation(work, p, b + 1u, &step[0][1]);
             }
             solve_again(work, p, step);
@@ -1273,7 +1280,7 @@ static void release_gains(zygos_solver_t *work, uint32_t p, uint32_t rank, doubl
 {
     const uint32_t first = p - work->gains;
     double explained = 0.0;
-    const double left = energy_left(work, p, work->solution, &explained) / work->instants;
+    const double left = energy_left(work, p, &explained) / work->instants;
     work->gains_held = 0;
     for (uint32_t g = 0; g < work->gains; g++) {
         set_gain_cost(work, p, g, left * gain_sigma(work, g) * gain_sigma(work, g));
@@ -1284,7 +1291,7 @@ static void release_gains(zygos_solver_t *work, uint32_t p, uint32_t rank, doubl
     memset(covariance, 0, entry_at(p, 0) * sizeof covariance[0]);
     const parts_t parts = parts_of(work);
     score_noise(work, p);
-    for (uint32_t b = 0; b < parts.all; b += 2u) {
+    for (uint32_t b = 0; b < blocks_of_all(&parts); b += 2u) {
         const couple_t couple = influences(work, p, &parts, b);
         for (uint32_t g = first; g < p; g++) {
             for (uint32_t side = 0; side < couple.count; side++) {
@@ -1354,9 +1361,9 @@ static void write_intervals(const zygos_solver_t *work, uint32_t p, zygos_estima
 {
     for (uint32_t i = 0; i < p; i++) {
         const double certain = work->prior_variance[i];
-        const double scatter = out->sigma[i] * out->sigma[i] - certain;
+        const double scatter = zygos_larger(out->sigma[i] * out->sigma[i] - certain, 0.0);
         const double factor = student(work->degrees_of_freedom[i]);
-        const double square = factor * factor * ((scatter > 0.0) ? scatter : 0.0) + TWO_SIGMAS * TWO_SIGMAS * certain;
+        const double square = factor * factor * scatter + TWO_SIGMAS * TWO_SIGMAS * certain;
         out->half95[i] = (certain > 0.0) ? __builtin_sqrt(square) : factor * out->sigma[i];
     }
 }
@@ -1416,9 +1423,10 @@ static int refuse(zygos_estimate_t *out, uint32_t p, uint32_t reason)
    is the root mean square of the blocks' mean residuals, in units of the work's spread. */
 static double cluster(const zygos_solver_t *work, uint32_t p, double residual, double *share)
 {
+    const zygos_range_t used = work->blocks[ZYGOS_ENERGY_ROWS];
     double squares = 0.0;
     double means = 0.0;
-    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+    for (uint32_t b = used.first; b < used.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
         const double *deviation = zygos_accumulator_deviation(&work->sums->energy, block);
         double sum = deviation[p];
@@ -1428,7 +1436,7 @@ static double cluster(const zygos_solver_t *work, uint32_t p, double residual, d
         squares += (block->square > 0.0) ? sum * sum / block->square : 0.0;
         means += (block->head.total > 0.0) ? sum * sum / (block->head.total * block->head.total) : 0.0;
     }
-    const double blocks = (double)(work->blocks.end - work->blocks.first);
+    const double blocks = (double)(used.end - used.first);
     const double spread = __builtin_sqrt(work->spread / work->instants);
     *share = __builtin_sqrt(means / blocks) / spread;
     return squares / (blocks * residual * residual);
@@ -1443,28 +1451,36 @@ static uint32_t first_behind(const zygos_store_t *store, uint32_t kind, uint32_t
     return rank;
 }
 
-/* Chooses the blocks that are used, and sums them: first those of the energy, then those of the motors. */
+/* Begins to choose rows: no blocks are, and nothing is in their sums. */
+static void choose_none(zygos_solver_t *work, uint32_t p, bool joints)
+{
+    memset(work->blocks, 0, sizeof work->blocks);
+    memset(work->total, 0, entry_at(p + 1u, 0) * sizeof work->total[0]);
+    memset(work->noise, 0, entry_at(p + 1u, 0) * sizeof work->noise[0]);
+    work->instants = 0.0;
+    work->joints_alone = joints ? 1u : 0u;
+    work->joints_used = joints ? 1u : 0u;
+    work->joints_weight = joints ? 1.0 : 0.0;
+}
+
+/* Chooses the blocks that are used, and sums those of the energy. The weights of all rows follow from the solution. */
 static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
     const zygos_accumulator_t *sums = &work->sums->energy;
-    const zygos_store_t *motors = &work->sums->motors.store;
-    const zygos_store_t *momenta = &work->sums->momentum.store;
     const uint64_t after = (first > 0) ? zygos_accumulator_at(sums, first - 1u)->head.end : 0u;
-    const uint64_t until = (end > 0) ? zygos_accumulator_at(sums, end - 1u)->head.end : 0u;
     const bool all_of = (end == sums->store.closed); /* also what has ended since the newest block of energy rows */
+    const uint64_t until = all_of ? UINT64_MAX : ((end > 0) ? zygos_accumulator_at(sums, end - 1u)->head.end : 0u);
     double all = 0.0;
-    work->blocks.first = first;
-    work->blocks.end = end;
-    work->arcs.first = first_behind(motors, (uint32_t)ZYGOS_MOTOR_ROWS, 0, after);
-    work->arcs.end = first_behind(motors, (uint32_t)ZYGOS_MOTOR_ROWS, work->arcs.first, all_of ? UINT64_MAX : until);
-    work->momenta.first = first_behind(momenta, (uint32_t)ZYGOS_MOMENTUM_ROWS, 0, after);
-    work->momenta.end =
-        first_behind(momenta, (uint32_t)ZYGOS_MOMENTUM_ROWS, work->momenta.first, all_of ? work->sums->cycle : until);
-    memset(work->total, 0, entry_at(p + 1u, 0) * sizeof work->total[0]);
-    work->instants = 0.0;
-    work->joints_alone = 0;
-    work->joints_weight = 0.0;
+    choose_none(work, p, false);
+    memset(work->weight, 0, sizeof work->weight);
+    work->momentum_weight = 0.0;
     work->joints_used = ((first == 0) && all_of) ? 1u : 0u;
+    work->blocks[ZYGOS_ENERGY_ROWS] = (zygos_range_t){ first, end };
+    for (uint32_t kind = ZYGOS_MOTOR_ROWS; kind < (uint32_t)ZYGOS_KINDS_OF_ROWS; kind++) {
+        const zygos_store_t *store = zygos_sums_store(work->sums, kind);
+        const uint32_t from = first_behind(store, kind, 0, after);
+        work->blocks[kind] = (zygos_range_t){ from, first_behind(store, kind, from, until) };
+    }
     for (uint32_t b = 0; b < sums->store.closed; b++) {
         const zygos_block_t *block = zygos_accumulator_at(sums, b);
         all += block->head.total;
@@ -1475,35 +1491,15 @@ static void choose(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t en
     }
     work->spread = work->total[entry_at(p, p)];
     work->noise_fraction = (all > 0.0) ? work->instants / all : 0.0;
-    memset(work->noise, 0, entry_at(p + 1u, 0) * sizeof work->noise[0]);
     increase(work->noise, sums->noise_closed.gram, work->noise_fraction, entry_at(p + 1u, 0));
 }
 
-/* The same for a solution of its own: the weights of all rows follow from it. */
-static void choose_anew(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
-{
-    choose(work, p, first, end);
-    memset(work->weight, 0, sizeof work->weight);
-    work->momentum_weight = 0.0;
-}
-
-/* Chooses joint rows alone, of the groups from first to before end; the declared noise of all is shared out to them. */
-static void choose_joints(zygos_solver_t *work, uint32_t p, uint32_t first, uint32_t end)
+/* Chooses joint rows alone, of all groups, with all of their declared noise. */
+static void choose_joints(zygos_solver_t *work, uint32_t p)
 {
     const zygos_joint_sums_t *sums = &work->sums->joints;
-    work->blocks.first = 0;
-    work->blocks.end = 0;
-    work->arcs.first = 0;
-    work->arcs.end = 0;
-    work->momenta.first = 0;
-    work->momenta.end = 0;
-    memset(work->total, 0, entry_at(p + 1u, 0) * sizeof work->total[0]);
-    memset(work->noise, 0, entry_at(p + 1u, 0) * sizeof work->noise[0]);
-    work->instants = 0.0;
-    work->joints_alone = 1;
-    work->joints_used = 1;
-    work->joints_weight = 1.0;
-    for (uint32_t g = first; g < end; g++) {
+    choose_none(work, p, true);
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
         increase(work->total, sums->group[g].gram, group_factor(work, g), entry_at(p + 1u, 0));
         work->instants += sums->fade[g] * sums->count[g];
     }
@@ -1529,9 +1525,9 @@ static uint32_t with_motors(zygos_solver_t *work, uint32_t p)
 {
     const uint32_t rank = scale_sums(work, p);
     const bool others =
-        (work->momenta.first != work->momenta.end) || (zygos_joint_sums_rows(&work->sums->joints) > 0.0);
+        (blocks_of(work, (uint32_t)ZYGOS_MOMENTUM_ROWS) > 0) || (zygos_joint_sums_rows(&work->sums->joints) > 0.0);
     work->alone = 0.0;
-    if (((work->arcs.first == work->arcs.end) && !others) || (rank == 0)) {
+    if (((blocks_of(work, (uint32_t)ZYGOS_MOTOR_ROWS) == 0) && !others) || (rank == 0)) {
         return rank;
     }
     double weight[ZYGOS_MAX_JOINTS];
@@ -1539,7 +1535,7 @@ static uint32_t with_motors(zygos_solver_t *work, uint32_t p)
     memset(work->weight, 0, sizeof work->weight);
     (void)solve_beside_noise(work, p, rank, NULL);
     double explained = 0.0;
-    work->alone = energy_left(work, p, work->solution, &explained);
+    work->alone = energy_left(work, p, &explained);
     memcpy(work->weight, weight, sizeof weight);
     add_motors(work, explained / work->instants);
     return scale_sums(work, p);
@@ -1551,34 +1547,34 @@ static uint32_t with_motors(zygos_solver_t *work, uint32_t p)
 static uint32_t with_momentum(zygos_solver_t *work, uint32_t p, uint32_t rank)
 {
     const zygos_momentum_sums_t *sums = &work->sums->momentum;
-    if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_MIN_ARCS)) {
-        work->momenta.end = work->momenta.first;
+    zygos_range_t *used = &work->blocks[ZYGOS_MOMENTUM_ROWS];
+    if ((rank == 0) || (used->end < used->first + ZYGOS_MIN_ARCS)) {
+        used->end = used->first;
         return rank;
     }
     double weight = work->momentum_weight;
     double all = 0.0;
     double chosen = 0.0;
     for (uint32_t b = 0; b < sums->store.closed; b++) {
-        all += zygos_momentum_sums_at(sums, b)->head.total;
-        chosen +=
-            ((b >= work->momenta.first) && (b < work->momenta.end)) ? zygos_momentum_sums_at(sums, b)->head.total : 0.0;
+        const double instants = zygos_momentum_sums_at(sums, b)->head.total;
+        all += instants;
+        chosen += ((b >= used->first) && (b < used->end)) ? instants : 0.0;
     }
     work->momentum_weight = 0.0;
     if (!(weight > 0.0)) {
         double energy = 0.0;
         (void)solve_beside_noise(work, p, rank, NULL);
-        (void)energy_left(work, p, work->solution, &energy);
-        const double noise = momentum_form(work, &sums->noise_closed, work->solution) / all;
+        (void)energy_left(work, p, &energy);
+        const double noise = momentum_form(work, &sums->noise_closed) / all;
         weight = (noise > 0.0) ? energy / work->instants / (MOMENTUM_CORRELATION * noise) : 0.0;
     }
-    if (!(weight > 0.0)) {
-        work->momenta.end = work->momenta.first;
-    }
-    for (uint32_t b = work->momenta.first; b < work->momenta.end; b++) {
-        embed_momentum(work, zygos_momentum_sums_at(sums, b)->rows.gram, weight, work->total, 1u);
-    }
-    embed_momentum(work, sums->noise_closed.gram, weight * chosen / all, work->noise, 1u);
+    used->end = (weight > 0.0) ? used->end : used->first;
     work->momentum_weight = weight;
+    for (uint32_t b = used->first; b < used->end; b++) {
+        add_momentum_arc(work, b, work->total, 1u);
+    }
+    uint32_t place[ZYGOS_MAX_MOMENTUM];
+    embed(sums->noise_closed.gram, place, momentum_places(work, place), weight * chosen / all, work->noise, 1u);
     return scale_sums(work, p);
 }
 
@@ -1601,10 +1597,10 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank)
     for (uint32_t round = 0; round < 2u; round++) {
         double explained = 0.0;
         (void)solve_beside_noise(work, p, now, NULL);
-        (void)energy_left(work, p, work->solution, &explained);
-        double square = form(sums->noise.gram, work->solution, p);
+        (void)energy_left(work, p, &explained);
+        double square = zygos_gram_form(sums->noise.gram, work->solution, p + 1u);
         for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (round > 0); g++) {
-            square += sums->fade[g] * form(sums->group[g].gram, work->solution, p);
+            square += sums->fade[g] * zygos_gram_form(sums->group[g].gram, work->solution, p + 1u);
         }
         const double energy = explained / work->instants;
         const double weight = (square > 0.0) ? energy * rows / (JOINT_CORRELATION * square) : 0.0;
@@ -1636,7 +1632,7 @@ static uint32_t combine(zygos_solver_t *work, uint32_t p)
 static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, double residual, double *share)
 {
     const zygos_joint_sums_t *sums = &work->sums->joints;
-    const double apart = form(sums->joints.gram, work->solution, p);
+    const double apart = zygos_gram_form(sums->joints.gram, work->solution, p + 1u);
     const double squares = (sums->joint_sums > 0.0) ? apart / sums->joint_sums : 0.0;
     /* Each sum is divided by the root of twice its number of rows. */
     const double rows = (sums->joint_sums > 0.0) ? work->instants / sums->joint_sums : 1.0;
@@ -1648,20 +1644,21 @@ static double cluster_of_joints(const zygos_solver_t *work, uint32_t p, double r
    square residual: at most, for the solution takes most of it. */
 static double walk_in_clusters(const zygos_solver_t *work)
 {
+    const zygos_range_t used = work->blocks[ZYGOS_ENERGY_ROWS];
     double sum = 0.0;
     double walked = 0.0; /* by the arc so far */
     double weights = 0.0;
-    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+    for (uint32_t b = used.first; b < used.end; b++) {
         const zygos_block_t *block = zygos_accumulator_at(&work->sums->energy, b);
-        const bool last = (b + 1u == work->blocks.end) ||
-                          (zygos_accumulator_at(&work->sums->energy, b + 1u)->head.end != block->head.end);
+        const bool last =
+            (b + 1u == used.end) || (zygos_accumulator_at(&work->sums->energy, b + 1u)->head.end != block->head.end);
         walked += block->variance[0];
         weights += (block->square > 0.0) ? block->head.total * block->head.total / block->square : 0.0;
         sum += last ? weights * walked / 6.0 : 0.0; /* mean square of a walk about its own mean */
         walked = last ? 0.0 : walked;
         weights = last ? 0.0 : weights;
     }
-    return sum / (double)(work->blocks.end - work->blocks.first);
+    return sum / (double)(used.end - used.first);
 }
 
 /* What the solution leaves over of the energy rows; or of the joint rows where they alone are solved. */
@@ -1676,7 +1673,7 @@ typedef struct {
 static residuals_t residuals_of(const zygos_solver_t *work, uint32_t p)
 {
     residuals_t out = { .share = 0.0 };
-    out.square = energy_left(work, p, work->solution, &out.explained);
+    out.square = energy_left(work, p, &out.explained);
     const double residual = __builtin_sqrt(out.square / work->instants);
     if ((residual > 0.0) && (work->joints_alone != 0)) {
         out.cluster = cluster_of_joints(work, p, residual, &out.share);
@@ -1723,8 +1720,7 @@ static bool disturbed(double excess, double left, double limit, double squares)
 /* The same of the energy rows. */
 static bool energy_disturbed(const zygos_solver_t *work, uint32_t p, double together, double alone, double allowed)
 {
-    const double fitted = 2.0 * (double)p / work->instants;
-    const double least = (ZYGOS_MISFIT_ENERGY > fitted) ? ZYGOS_MISFIT_ENERGY : fitted;
+    const double least = zygos_larger(ZYGOS_MISFIT_ENERGY, 2.0 * (double)p / work->instants);
     return (alone > 0.0) && disturbed(together - alone, alone, least * allowed, work->spread);
 }
 
@@ -1732,6 +1728,7 @@ static bool energy_disturbed(const zygos_solver_t *work, uint32_t p, double toge
 static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allowed)
 {
     const zygos_motor_sums_t *sums = &work->sums->motors;
+    const zygos_range_t arcs = work->blocks[ZYGOS_MOTOR_ROWS];
     const uint32_t count = sums->column_map.count[i];
     double gram[ZYGOS_MAX_PACKED_IMPULSE + ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
     double x[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
@@ -1739,14 +1736,14 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
     if ((count == 0) || !(work->weight[i] > 0.0)) {
         return false;
     }
-    for (uint32_t b = work->arcs.first; b < work->arcs.end; b++) {
+    for (uint32_t b = arcs.first; b < arcs.end; b++) {
         for (uint32_t k = 0; k < entry_at(count + 1u, 0); k++) {
             gram[k] += zygos_motor_sums_at(sums, b)->joint[i].gram[k];
         }
         instants += zygos_motor_sums_at(sums, b)->instants[i];
     }
     const double noise = instants * motor_noise(work, i, x);
-    const double together = form(gram, x, count);
+    const double together = zygos_gram_form(gram, x, count + 1u);
     const double squares = gram[entry_at(count, count)];
     /* The gain's column, the last one, is the right side with the other sign. */
     const uint32_t gain = ((count > 3u) && (work->sums->config.effect[sums->column_map.effect[i][count - 4u]].kind ==
@@ -1758,8 +1755,7 @@ static bool motors_disturbed(const zygos_solver_t *work, uint32_t i, double allo
         gram[entry_at(count - gain, a)] = (a < count - gain) ? gram[entry_at(count, a)] : gram[entry_at(count, count)];
     }
     const double alone = reported * reported * least_left(gram, count - gain);
-    const double fitted = (double)count / instants;
-    const double least = (ZYGOS_MISFIT_MOTORS > fitted) ? ZYGOS_MISFIT_MOTORS : fitted;
+    const double least = zygos_larger(ZYGOS_MISFIT_MOTORS, (double)count / instants);
     return disturbed(together - alone, alone + noise, least * allowed, squares);
 }
 
@@ -1796,7 +1792,7 @@ static uint32_t weigh_rows(zygos_solver_t *work, uint32_t p, zygos_estimate_t *o
         return scale_sums(work, p);
     }
     /* Weights follow from a solution, and one with held gains may have been far off. */
-    choose_anew(work, p, work->blocks.first, work->blocks.end);
+    choose(work, p, work->blocks[ZYGOS_ENERGY_ROWS].first, work->blocks[ZYGOS_ENERGY_ROWS].end);
     return combine(work, p);
 }
 
@@ -1813,9 +1809,9 @@ static bool fits_with_gains(zygos_solver_t *work, uint32_t p, const residuals_t 
         work->gain_value[g] = work->solution[p - work->gains + g];
     }
     work->gains_held = 1;
-    choose_anew(work, p, work->blocks.first, work->blocks.end);
+    choose(work, p, work->blocks[ZYGOS_ENERGY_ROWS].first, work->blocks[ZYGOS_ENERGY_ROWS].end);
     (void)solve_beside_noise(work, p, scale_sums(work, p), NULL);
-    const double alone = energy_left(work, p, work->solution, &explained);
+    const double alone = energy_left(work, p, &explained);
     return good && ((left->walk > 1.0) || !energy_disturbed(work, p, left->square, alone, 1.0 + left->walk));
 }
 
@@ -1880,9 +1876,9 @@ static uint32_t choose_from(zygos_solver_t *work, uint32_t p, uint32_t first, co
     work->gains_held = (work->gains > 0) ? 1u : 0u;
     memset(work->gain_value, 0, sizeof work->gain_value);
     if (joints) {
-        choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
+        choose_joints(work, p);
     } else {
-        choose_anew(work, p, first, work->sums->energy.store.closed);
+        choose(work, p, first, work->sums->energy.store.closed);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
     if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||

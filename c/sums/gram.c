@@ -43,6 +43,21 @@ void zygos_gram_add(double *restrict gram, double *restrict sum, uint32_t width,
     }
 }
 
+double zygos_gram_form(const double *gram, const double *x, uint32_t width)
+{
+    const double *row = gram;
+    double sum = 0.0;
+    for (uint32_t i = 0; i < width; i++) {
+        double along = 0.0;
+        for (uint32_t j = 0; j < i; j++) {
+            along += row[j] * x[j];
+        }
+        sum += x[i] * (2.0 * along + row[i] * x[i]);
+        row += i + 1u;
+    }
+    return sum;
+}
+
 void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum)
 {
     memset(sum, 0, width * sizeof sum[0]);

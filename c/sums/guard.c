@@ -76,41 +76,45 @@ bool zygos_guard_has_solution(zygos_guard_t *self, uint32_t parameters)
     return true;
 }
 
-/* Entry of a symmetric matrix that is stored as its lower triangle. */
-static double entry(const double *packed, uint32_t i, uint32_t j)
+/* Adds x~' G x~ and tr(G C) of the rows from first to before end of the columns at place[], or of those of all
+   parameters. Returns the sum of the terms on the diagonal. */
+static double add_residuals(const zygos_guard_t *self, const double *gram, const uint32_t *place, uint32_t first,
+                            uint32_t end, zygos_finding_t *out)
 {
-    return (i >= j) ? packed[zygos_gram_entries(i) + j] : packed[zygos_gram_entries(j) + i];
+    const double *from = &gram[zygos_gram_entries(first)];
+    double diagonal = 0.0;
+    for (uint32_t a = first; a < end; a++) {
+        const uint32_t i = place ? place[a] : a;
+        double product = 0.0;
+        double trace = 0.0;
+        for (uint32_t b = 0; (b < a) && (i < (uint32_t)ZYGOS_MAX_PARAMETERS); b++) {
+            const uint32_t j = place ? place[b] : b;
+            if (j < (uint32_t)ZYGOS_MAX_PARAMETERS) {
+                product += from[b] * self->solution[j];
+                trace += from[b] * zygos_gram_entry(self->covariance, i, j);
+            }
+        }
+        if (i < (uint32_t)ZYGOS_MAX_PARAMETERS) {
+            const double own = from[a] * self->solution[i];
+            out->residual += self->solution[i] * (2.0 * product + own);
+            out->uncertainty += 2.0 * trace + from[a] * zygos_gram_entry(self->covariance, i, i);
+            diagonal += self->solution[i] * own;
+        }
+        from += a + 1u;
+    }
+    return diagonal;
 }
 
-/* Adds x~' G x~ and tr(G C) of the columns at place[], followed by the right side. */
-static void add_residuals(const zygos_guard_t *self, const double *gram, const uint32_t *place, uint32_t columns,
-                          bool sides, zygos_finding_t *out)
+/* Adds what the right side behind these columns adds to that. */
+static void add_right_side(const zygos_guard_t *self, const double *gram, const uint32_t *place, uint32_t columns,
+                           zygos_finding_t *out)
 {
+    const double *right = &gram[zygos_gram_entries(columns)];
     for (uint32_t a = 0; a < columns; a++) {
-        const uint32_t i = place ? place[a] : a;
-        if (i >= (uint32_t)ZYGOS_MAX_PARAMETERS) {
-            gram += a + 1u;
-            continue;
-        }
-        for (uint32_t b = 0; b < a; b++) {
-            const uint32_t j = place ? place[b] : b;
-            if (j >= (uint32_t)ZYGOS_MAX_PARAMETERS) {
-                gram++;
-                continue;
-            }
-            out->residual += 2.0 * *gram * self->solution[i] * self->solution[j];
-            out->uncertainty += 2.0 * *gram * entry(self->covariance, i, j);
-            gram++;
-        }
-        out->residual += *gram * self->solution[i] * self->solution[i];
-        out->uncertainty += *gram * entry(self->covariance, i, i);
-        gram++;
+        out->residual -= 2.0 * right[a] * self->solution[place ? place[a] : a];
     }
-    for (uint32_t a = 0; sides && (a < columns); a++) {
-        out->residual -= 2.0 * gram[a] * self->solution[place ? place[a] : a];
-    }
-    out->residual += sides ? gram[columns] : 0.0;
-    out->spread += sides ? gram[columns] : 0.0;
+    out->residual += right[columns];
+    out->spread += right[columns];
 }
 
 double zygos_guard_chi_square_limit(double freedom)
@@ -203,13 +207,8 @@ static void add_part(zygos_guard_t *self, const zygos_accumulator_t *sums, uint3
         from += i + 1u;
         covariance += i + 1u;
     }
-    if ((row <= p) && (end > p)) { /* the right side */
-        const double *right = &gram[zygos_gram_entries(p)];
-        for (uint32_t j = 0; j < p; j++) {
-            out->residual -= 2.0 * right[j] * self->solution[j];
-        }
-        out->residual += right[p];
-        out->spread += right[p];
+    if ((row <= p) && (end > p)) {
+        add_right_side(self, gram, NULL, p, out);
     }
 }
 
@@ -299,29 +298,18 @@ static void judge_energy(zygos_guard_t *self, const zygos_accumulator_t *sums, u
     }
 }
 
-/* Places of the columns of the motor rows of a joint. Returns their number. */
-static uint32_t motor_places(const zygos_column_map_t *column_map, const zygos_impulse_column_map_t *columns,
-                             uint32_t i, uint32_t *place)
-{
-    for (uint32_t c = 0; c < columns->count[i]; c++) {
-        const uint32_t column = (c < 3u) ? column_map->joint[i] + c : column_map->effects + columns->effect[i][c - 3u];
-        /* Every column has a parameter, and zygos_arm_scrub() reports a place that cannot be. */
-        place[c] = (column_map->place[column] < (uint32_t)ZYGOS_MAX_PARAMETERS) ? column_map->place[column] : 0u;
-    }
-    return columns->count[i];
-}
-
 /* The residuals of a joint's rows in a block, and their expected value by the declared noise. */
 static void add_motor_residuals(const zygos_guard_t *self, const zygos_config_t *config,
                                 const zygos_column_map_t *column_map, const zygos_motor_sums_t *sums,
                                 const zygos_motor_block_t *block, uint32_t i, zygos_finding_t *out)
 {
-    uint32_t place[ZYGOS_MAX_IMPULSE] = { 0 };
-    const uint32_t columns = motor_places(column_map, &sums->column_map, i, place);
+    uint32_t place[ZYGOS_MAX_IMPULSE + 1] = { 0 };
+    const uint32_t columns = zygos_motor_sums_places(sums, column_map, i, place);
     const zygos_joint_config_t *joint = &config->joint[i];
     zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
-    add_residuals(self, sums->noise[i], place, columns, false, &noise);
-    add_residuals(self, block->joint[i].gram, place, columns, true, out);
+    (void)add_residuals(self, sums->noise[i], place, 0, columns, &noise);
+    (void)add_residuals(self, block->joint[i].gram, place, 0, columns, out);
+    add_right_side(self, block->joint[i].gram, place, columns, out);
     const double n = block->instants[i];
     const double stiffness = self->solution[place[1]];
     const double reading =
@@ -351,64 +339,18 @@ static void judge_joint(zygos_guard_t *self, const zygos_config_t *config, const
     self->motor_worst = (limit > 0.0) ? zygos_larger(self->motor_worst, found.residual / limit) : self->motor_worst;
 }
 
-/* As many columns as there is room for, whatever memory says. */
-static uint32_t momentum_columns(const zygos_momentum_sums_t *sums)
-{
-    return (sums->columns < (uint32_t)ZYGOS_MAX_MOMENTUM) ? sums->columns : (uint32_t)ZYGOS_MAX_MOMENTUM;
-}
-
-/* Where the columns of the momentum rows stand. */
-static void momentum_places(const zygos_column_map_t *column_map, const zygos_momentum_sums_t *sums, uint32_t *place)
-{
-    const uint32_t columns = momentum_columns(sums);
-    for (uint32_t c = 0; c < columns; c++) {
-        const uint32_t rotor = (c < column_map->kinetic) ? 0u : c - column_map->kinetic;
-        const bool known = (rotor < (uint32_t)ZYGOS_MAX_JOINTS);
-        const uint32_t column = (c < column_map->kinetic) ? c : (known ? column_map->joint[rotor] : UINT32_MAX);
-        place[c] = (column < (uint32_t)ZYGOS_MAX_COLUMNS) ? column_map->place[column] : (uint32_t)ZYGOS_NO_PLACE;
-    }
-}
-
-/* The residuals of the rows from first to before end of momentum rows. Their right side is zero: the terms that must
-   cancel are used as its spread. */
-static void add_momentum_residuals(const zygos_guard_t *self, const uint32_t *place, uint32_t first, uint32_t end,
-                                   const double *gram, zygos_finding_t *out)
-{
-    const double *from = &gram[zygos_gram_entries(first)];
-    for (uint32_t a = first; a < end; a++) {
-        const uint32_t i = place[a];
-        double product = 0.0;
-        double trace = 0.0;
-        for (uint32_t b = 0; (b < a) && (i < (uint32_t)ZYGOS_MAX_PARAMETERS); b++) {
-            const uint32_t j = place[b];
-            if (j < (uint32_t)ZYGOS_MAX_PARAMETERS) {
-                product += from[b] * self->solution[j];
-                trace += from[b] * entry(self->covariance, i, j);
-            }
-        }
-        if (i < (uint32_t)ZYGOS_MAX_PARAMETERS) {
-            const double own = from[a] * self->solution[i];
-            out->residual += self->solution[i] * (2.0 * product + own);
-            out->uncertainty += 2.0 * trace + from[a] * entry(self->covariance, i, i);
-            out->spread += self->solution[i] * own;
-        }
-        from += a + 1u;
-    }
-}
-
-/* Compares the next rows of the closing arc of momentum rows. */
+/* Compares the next rows of the closing arc of momentum rows. Their right side is zero: the terms that must cancel are
+   used as its spread. */
 static void judge_momentum(zygos_guard_t *self, const zygos_column_map_t *column_map, const zygos_momentum_sums_t *sums,
                            uint32_t part)
 {
     const zygos_store_t *store = &sums->store;
-    const uint32_t columns = momentum_columns(sums);
-    const uint32_t end = (part < columns) ? part : columns;
     const zygos_momentum_block_t *closing = zygos_momentum_sums_at(sums, store->closed);
+    const double *noise = sums->noise_open[(store->parity & 1u) ^ 1u].gram;
     uint32_t place[ZYGOS_MAX_MOMENTUM];
-    momentum_places(column_map, sums, place);
-    add_momentum_residuals(self, place, store->row, end, sums->noise_open[(store->parity & 1u) ^ 1u].gram,
-                           &self->momentum_noise);
-    add_momentum_residuals(self, place, store->row, end, closing->rows.gram, &self->momenta);
+    const uint32_t end = zygos_least(part, zygos_momentum_sums_places(sums, column_map, place));
+    self->momentum_noise.spread += add_residuals(self, noise, place, store->row, end, &self->momentum_noise);
+    self->momenta.spread += add_residuals(self, closing->rows.gram, place, store->row, end, &self->momenta);
 }
 
 /* The residuals of the closing arc of momentum rows over their limit. */
@@ -533,8 +475,10 @@ void zygos_guard_end_joints(zygos_sums_t *all)
     const zygos_joint_segment_t *segment = &sums->segment[sums->filling];
     zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
     zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
-    add_residuals(self, segment->noise.gram, NULL, sums->width - 1u, true, &noise);
-    add_residuals(self, segment->rows.gram, NULL, sums->width - 1u, true, &found);
+    (void)add_residuals(self, segment->noise.gram, NULL, 0, sums->width - 1u, &noise);
+    (void)add_residuals(self, segment->rows.gram, NULL, 0, sums->width - 1u, &found);
+    add_right_side(self, segment->noise.gram, NULL, sums->width - 1u, &noise);
+    add_right_side(self, segment->rows.gram, NULL, sums->width - 1u, &found);
     found.expected = noise.residual + rows * zygos_joint_sums_torque_noise(sums, config);
     const double of_one_joint = rows / (double)config->joints;
     const double limit = limit_of(&found, &self->energy, rows, 0.5 * of_one_joint);
@@ -601,52 +545,59 @@ static void activate(zygos_guard_t *self, uint32_t parameters)
     self->parameters = parameters;
 }
 
+/* Mean squares of the motor rows of a joint in closed arcs. */
+static zygos_mean_squares_t mean_squares_of_joint(const zygos_sums_t *sums, uint32_t i)
+{
+    const zygos_motor_sums_t *motors = &sums->motors;
+    zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    double n = 0.0;
+    for (uint32_t b = 0; (b < motors->store.closed) && (motors->column_map.count[i] > 0); b++) {
+        const zygos_motor_block_t *of = zygos_motor_sums_at(motors, b);
+        zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
+        add_motor_residuals(&sums->guard, &sums->config, &sums->column_map, motors, of, i, &block);
+        found.residual += of->head.fade * block.residual;
+        found.spread += of->head.fade * block.spread;
+        n += of->head.fade * of->instants[i];
+    }
+    return mean_squares_of(&found, n);
+}
+
+/* The same of the momentum rows. */
+static zygos_mean_squares_t mean_squares_of_momentum(const zygos_sums_t *sums)
+{
+    const zygos_momentum_sums_t *momentum = &sums->momentum;
+    uint32_t place[ZYGOS_MAX_MOMENTUM];
+    const uint32_t columns = zygos_momentum_sums_places(momentum, &sums->column_map, place);
+    zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    double n = 0.0;
+    for (uint32_t b = 0; b < momentum->store.closed; b++) {
+        const zygos_momentum_block_t *of = zygos_momentum_sums_at(momentum, b);
+        zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
+        found.spread += of->head.fade * add_residuals(&sums->guard, of->rows.gram, place, 0, columns, &block);
+        found.residual += of->head.fade * block.residual;
+        n += of->head.fade * of->head.total;
+    }
+    if (n > 0.0) {
+        const double fade = momentum->store.noise_fade;
+        zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+        found.spread += fade * add_residuals(&sums->guard, momentum->noise_closed.gram, place, 0, columns, &noise);
+        found.residual += fade * noise.residual;
+    }
+    return mean_squares_of(&found, n);
+}
+
 /* Activates the running solution that was written (noise_ratio, cluster, energy.residual, solution, covariance). */
 static void begin_solution(zygos_sums_t *sums)
 {
     zygos_guard_t *self = &sums->guard;
-    const zygos_config_t *config = &sums->config;
-    const zygos_column_map_t *column_map = &sums->column_map;
-    const zygos_motor_sums_t *motors = &sums->motors;
-    const zygos_momentum_sums_t *momentum = &sums->momentum;
-    double n = 0.0;
     self->energy.spread =
-        zygos_joint_sums_suffice(config) ? spread_of_joints(&sums->joints) : spread_of_energy(&sums->energy);
+        zygos_joint_sums_suffice(&sums->config) ? spread_of_joints(&sums->joints) : spread_of_energy(&sums->energy);
     memset(self->motor, 0, sizeof self->motor);
-    for (uint32_t i = 0; i < config->joints; i++) {
-        zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
-        n = 0.0;
-        for (uint32_t b = 0; (b < motors->store.closed) && (motors->column_map.count[i] > 0); b++) {
-            const zygos_motor_block_t *of = zygos_motor_sums_at(motors, b);
-            zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
-            add_motor_residuals(self, config, column_map, motors, of, i, &block);
-            found.residual += of->head.fade * block.residual;
-            found.spread += of->head.fade * block.spread;
-            n += of->head.fade * of->instants[i];
-        }
-        self->motor[i] = mean_squares_of(&found, n);
+    for (uint32_t i = 0; i < sums->config.joints; i++) {
+        self->motor[i] = mean_squares_of_joint(sums, i);
     }
-    zygos_finding_t found = { 0.0, 0.0, 0.0, 0.0 };
-    uint32_t place[ZYGOS_MAX_MOMENTUM];
-    momentum_places(column_map, momentum, place);
-    const uint32_t columns = momentum_columns(momentum);
-    n = 0.0;
-    for (uint32_t b = 0; b < momentum->store.closed; b++) {
-        const zygos_momentum_block_t *of = zygos_momentum_sums_at(momentum, b);
-        zygos_finding_t block = { 0.0, 0.0, 0.0, 0.0 };
-        add_momentum_residuals(self, place, 0, columns, of->rows.gram, &block);
-        found.residual += of->head.fade * block.residual;
-        found.spread += of->head.fade * block.spread;
-        n += of->head.fade * of->head.total;
-    }
-    if (n > 0.0) {
-        zygos_finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
-        add_momentum_residuals(self, place, 0, columns, momentum->noise_closed.gram, &noise);
-        found.residual += momentum->store.noise_fade * noise.residual;
-        found.spread += momentum->store.noise_fade * noise.spread;
-    }
-    self->momentum = mean_squares_of(&found, n);
-    activate(self, column_map->parameters);
+    self->momentum = mean_squares_of_momentum(sums);
+    activate(self, sums->column_map.parameters);
     self->checksum = guard_checksum(self);
 }
 

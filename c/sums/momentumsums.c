@@ -2,6 +2,7 @@
 #include "zygos/priv/momentumsums.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <string.h>
 
@@ -49,6 +50,19 @@ bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_c
 const zygos_momentum_block_t *zygos_momentum_sums_at(const zygos_momentum_sums_t *self, uint32_t rank)
 {
     return &self->block[zygos_store_place(&self->store, (uint32_t)ZYGOS_MOMENTUM_ROWS, rank)];
+}
+
+uint32_t zygos_momentum_sums_places(const zygos_momentum_sums_t *self, const zygos_column_map_t *column_map,
+                                    uint32_t *place)
+{
+    const uint32_t columns = zygos_least(self->columns, (uint32_t)ZYGOS_MAX_MOMENTUM);
+    for (uint32_t c = 0; c < columns; c++) {
+        const uint32_t rotor = (c < column_map->kinetic) ? 0u : c - column_map->kinetic;
+        const bool known = (rotor < (uint32_t)ZYGOS_MAX_JOINTS);
+        const uint32_t column = (c < column_map->kinetic) ? c : (known ? column_map->joint[rotor] : UINT32_MAX);
+        place[c] = (column < (uint32_t)ZYGOS_MAX_COLUMNS) ? column_map->place[column] : (uint32_t)ZYGOS_NO_PLACE;
+    }
+    return columns;
 }
 
 void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,

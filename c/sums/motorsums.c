@@ -2,6 +2,7 @@
 #include "zygos/priv/motorsums.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <string.h>
 
@@ -39,6 +40,20 @@ bool zygos_motor_sums_intact(const zygos_motor_sums_t *self, const zygos_config_
 const zygos_motor_block_t *zygos_motor_sums_at(const zygos_motor_sums_t *self, uint32_t rank)
 {
     return &self->block[zygos_store_place(&self->store, (uint32_t)ZYGOS_MOTOR_ROWS, rank)];
+}
+
+uint32_t zygos_motor_sums_places(const zygos_motor_sums_t *self, const zygos_column_map_t *column_map, uint32_t joint,
+                                 uint32_t *place)
+{
+    const uint32_t count = zygos_least(self->column_map.count[joint], (uint32_t)ZYGOS_MAX_IMPULSE);
+    const uint32_t *effect = self->column_map.effect[joint];
+    for (uint32_t c = 0; c < count; c++) {
+        const uint32_t column = (c < 3u) ? column_map->joint[joint] + c : column_map->effects + effect[c - 3u];
+        const uint32_t known = (column < (uint32_t)ZYGOS_MAX_COLUMNS) ? column_map->place[column] : 0u;
+        place[c] = (known < (uint32_t)ZYGOS_MAX_PARAMETERS) ? known : 0u; /* zygos_arm_scrub() reports the others */
+    }
+    place[count] = column_map->parameters;
+    return count;
 }
 
 void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,

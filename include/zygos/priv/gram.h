@@ -25,6 +25,12 @@ static inline uint32_t zygos_gram_place(uint32_t i, uint32_t j)
     return (i >= j) ? zygos_gram_entries(i) + j : zygos_gram_entries(j) + i;
 }
 
+/// Returns an entry of such a matrix.
+static inline double zygos_gram_entry(const double *gram, uint32_t i, uint32_t j)
+{
+    return gram[zygos_gram_place(i, j)];
+}
+
 /// Returns the bits of a number. The compiler's own memcpy() is one load, also where a freestanding build has no other
 /// than that of a library.
 static inline uint64_t zygos_bits_of(double x)
@@ -106,6 +112,9 @@ __attribute__((always_inline)) static inline uint64_t zygos_fold_words(uint64_t 
 /// Adds z z^T to gram, and its row sums to sum. The three arrays must not overlap. Cost: a product and a sum for each
 /// entry.
 void zygos_gram_add(double *gram, double *sum, uint32_t width, const double *z);
+
+/// Returns the sum over i, j of x_i x_j entry.
+double zygos_gram_form(const double *gram, const double *x, uint32_t width);
 
 /// Writes the row sums of gram into sum.
 void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum);

@@ -11,6 +11,7 @@
 #define ZYGOS_MOMENTUMSUMS_H
 
 #include "../types.h"
+#include "balance.h"
 #include "gram.h"
 #include "momentum.h"
 #include "store.h"
@@ -68,6 +69,11 @@ void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_
 /// Returns whether columns and components are those of a checked configuration, and every index and count is possible.
 /// The other functions rely on that and do not check it. Cost: a comparison for each block.
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config);
+
+/// Writes where the columns stand among the parameters, or ZYGOS_NO_PLACE. Returns their number, for which there is
+/// room, whatever memory says.
+uint32_t zygos_momentum_sums_places(const zygos_momentum_sums_t *self, const zygos_column_map_t *column_map,
+                                    uint32_t *place);
 
 /// Adds the row of the component whose turn it is with weight 1 or 0, and the noise of the sensor whose turn it is.
 /// Needs a configuration with such rows, and an instant that belongs to an arc. Cost: one row, one derivative, and a

@@ -10,6 +10,7 @@
 #define ZYGOS_MOTORSUMS_H
 
 #include "../types.h"
+#include "balance.h"
 #include "impulse.h"
 #include "store.h"
 
@@ -52,6 +53,11 @@ void zygos_motor_sums_tables(zygos_motor_sums_t *self, const zygos_config_t *con
 /// Returns whether the columns are those of a checked configuration, and every index and count is possible. The other
 /// functions rely on that and do not check it. Cost: a comparison for each block and each column.
 bool zygos_motor_sums_intact(const zygos_motor_sums_t *self, const zygos_config_t *config);
+
+/// Writes where the columns of the rows of a joint stand among the parameters, and behind them the place of the right
+/// side. Returns their number. No place is one that there is not, whatever memory says.
+uint32_t zygos_motor_sums_places(const zygos_motor_sums_t *self, const zygos_column_map_t *column_map, uint32_t joint,
+                                 uint32_t *place);
 
 /// Adds the row of one joint with weight 1 or 0. The joints take turns, one in each instant, because the noise of
 /// neighbouring instants is nearly the same. Cost: one small rank-1 update.

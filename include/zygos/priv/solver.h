@@ -86,6 +86,12 @@ extern "C" {
 /// A parameter that cannot be negative may be zero, and its estimate negative by up to this number of sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
+/// Blocks of a kind of rows, by their ranks, from the first to before the end.
+typedef struct {
+    uint32_t first;
+    uint32_t end;
+} zygos_range_t;
+
 /// Where the solver finds the sums, and what it remembers in between. Its five triangles and its vectors of p entries
 /// lie in memory of the accumulator that is free when all arcs have ended. It belongs to the task that solves; its
 /// members are not for reading.
@@ -128,15 +134,12 @@ typedef struct {
     double gain_reference;               ///< Deviation of the error of the sensor that the gains are relative to.
     double gain_ratios;                  ///< Sum over the gains of its square over theirs.
     double spread;                       ///< Sum of the squared work without the constants of the arcs [J^2].
-    struct {
-        uint32_t first;
-        uint32_t end;
-    } blocks, arcs, momenta;              ///< The blocks of energy, motor and momentum rows that are used.
-    double instants;                      ///< Accepted instants in the blocks of energy rows.
-    double noise_fraction;                ///< Their share of the noise of all closed arcs.
-    double noise_scale;                   ///< Share of the declared noise that is subtracted.
-    uint32_t pivot[ZYGOS_MAX_PARAMETERS]; ///< The columns, the independent ones first.
-    zygos_change_t newest;                ///< What was found of a change of the arm, unless the sums were corrupt.
+    zygos_range_t blocks[ZYGOS_KINDS_OF_ROWS]; ///< Those that are used, by enum zygos_rows.
+    double instants;                           ///< Accepted instants in the blocks of energy rows.
+    double noise_fraction;                     ///< Their share of the noise of all closed arcs.
+    double noise_scale;                        ///< Share of the declared noise that is subtracted.
+    uint32_t pivot[ZYGOS_MAX_PARAMETERS];      ///< The columns, the independent ones first.
+    zygos_change_t newest;                     ///< What was found of a change of the arm, unless the sums were corrupt.
 } zygos_solver_t;
 
 /// A copy of the sums, and scratch memory of the solver. It is filled by zygos_arm_take() and consumed by
