@@ -7,56 +7,25 @@
 #include <stddef.h>
 #include <string.h>
 
-/* A piece of memory that is copied. */
-typedef struct {
-    void *to;
-    const void *from;
-    uint32_t words; /* of eight bytes */
-} piece_t;
-
 #define WORD 8u
 #define WORDS(bytes) ((uint32_t)((bytes) / WORD))
-/* From the first member of a struct to before another one. */
-#define SPAN(to, from, type, first, end)                                                                               \
-    piece((unsigned char *)(to) + offsetof(type, first), (const unsigned char *)(from) + offsetof(type, first),        \
-          WORDS(offsetof(type, end) - offsetof(type, first)))
-#define REST(to, from, type, first)                                                                                    \
-    piece((unsigned char *)(to) + offsetof(type, first), (const unsigned char *)(from) + offsetof(type, first),        \
-          WORDS(sizeof(type) - offsetof(type, first)))
-
-static piece_t piece(void *to, const void *from, uint32_t words)
-{
-    const piece_t out = { to, from, words };
-    return out;
-}
-
-/* Eight words at a time: memcpy() of a library for small cores moves four bytes at a time, because it does not know
-   that these are aligned. */
-static void copy(piece_t what)
-{
-    unsigned char *to = __builtin_assume_aligned(what.to, WORD);
-    const unsigned char *from = __builtin_assume_aligned(what.from, WORD);
-    const unsigned char *const end = from + (size_t)what.words * WORD;
-    for (const unsigned char *const eights = from + (size_t)(what.words & ~7u) * WORD; from != eights;) {
-        __builtin_memcpy(to, from, 8u * WORD);
-        to += 8u * WORD;
-        from += 8u * WORD;
-    }
-    for (; from != end; from += WORD) {
-        __builtin_memcpy(to, from, WORD);
-        to += WORD;
-    }
-}
+/* Copy from the first member of a struct to before another one, or to its end. */
+#define COPY_FROM(to, from, type, first, bytes)                                                                        \
+    zygos_copy_words((unsigned char *)(to) + offsetof(type, first),                                                    \
+                     (const unsigned char *)(from) + offsetof(type, first), WORDS((bytes)-offsetof(type, first)))
+#define COPY_SPAN(to, from, type, first, end) COPY_FROM(to, from, type, first, offsetof(type, end))
+#define COPY_REST(to, from, type, first) COPY_FROM(to, from, type, first, sizeof(type))
 
 static void cut_store(const zygos_store_t *from, zygos_store_t *to)
 {
-    copy(SPAN(to, from, zygos_store_t, count, scan));
+    COPY_SPAN(to, from, zygos_store_t, count, scan);
 }
 
-/* Of closed arcs, and behind them that of the closing arc. */
-static uint32_t ended_blocks(const zygos_store_t *sums, uint32_t places)
+/* What a task has scanned, and the noise of the arc that is closing in the copy. */
+static void cut_closing(const zygos_store_t *from, zygos_store_t *to, uint32_t kind)
 {
-    return zygos_least(sums->fresh, places);
+    to->scan = from->scan;
+    zygos_store_copy_noise(from, to, kind, (to->parity & 1u) ^ 1u);
 }
 
 /* ---------------------------------------------------------------- energy rows */
@@ -71,8 +40,7 @@ static uint32_t energy_width(const zygos_accumulator_t *from)
 static void cut_block(zygos_handover_t *self, const zygos_accumulator_t *from, zygos_accumulator_t *to, uint32_t place)
 {
     if ((place < (uint32_t)ZYGOS_MAX_BLOCKS) && (self->copied[place] == 0)) {
-        copy(piece(to->block[place].gram, from->block[place].gram, zygos_gram_entries(energy_width(from))));
-        copy(REST(&to->block[place], &from->block[place], zygos_block_t, sum));
+        zygos_store_copy_block(&from->store, &to->store, (uint32_t)ZYGOS_ENERGY_ROWS, place);
         self->copied[place] = 1;
     }
 }
@@ -88,20 +56,20 @@ static void cut_buffer(const zygos_accumulator_t *from, zygos_accumulator_t *to,
     const zygos_row_buffer_t *buffer = &from->buffer[b];
     const uint32_t width = energy_width(from);
     if (has_rows(from, b)) {
-        copy(piece(to->buffer[b].pair, buffer->pair, (width + 1u) / 2u * (uint32_t)WORDS(sizeof buffer->pair[0])));
-        copy(SPAN(&to->buffer[b], buffer, zygos_row_buffer_t, total, gram));
+        zygos_copy_words(to->buffer[b].pair, buffer->pair, (width + 1u) / 2u * (uint32_t)WORDS(sizeof buffer->pair[0]));
+        COPY_SPAN(&to->buffer[b], buffer, zygos_row_buffer_t, total, gram);
         if (from->noisy != 0) {
-            copy(piece(to->buffer[b].gram, buffer->gram, zygos_gram_entries(width)));
-            copy(piece(to->buffer[b].sum, buffer->sum, width));
+            zygos_copy_words(to->buffer[b].gram, buffer->gram, zygos_gram_entries(width));
+            zygos_copy_words(to->buffer[b].sum, buffer->sum, width);
         }
     }
-    copy(REST(&to->buffer[b], buffer, zygos_row_buffer_t, instants));
+    COPY_REST(&to->buffer[b], buffer, zygos_row_buffer_t, instants);
 }
 
 static void copy_sums(const double *gram, const double *sum, double *to_gram, double *to_sum, uint32_t width)
 {
-    copy(piece(to_gram, gram, zygos_gram_entries(width)));
-    copy(piece(to_sum, sum, width));
+    zygos_copy_words(to_gram, gram, zygos_gram_entries(width));
+    zygos_copy_words(to_sum, sum, width);
 }
 #define COPY_SUMS(from, to, width) copy_sums((from)->gram, (from)->sum, (to)->gram, (to)->sum, width)
 
@@ -131,8 +99,8 @@ static uint32_t open_blocks(const zygos_accumulator_t *sums, uint32_t *place)
     uint32_t n = 0;
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         if (sums->buffer[b].shared < ZYGOS_BUFFER_SLICES) {
-            found[n++] = sums->buffer[b].blocks & 0xFFu;
-            found[n++] = (sums->buffer[b].blocks >> 8u) & 0xFFu;
+            found[n++] = zygos_store_first_of(sums->buffer[b].blocks);
+            found[n++] = zygos_store_second_of(sums->buffer[b].blocks);
         }
     }
     for (uint32_t newest = 1; newest <= 2u; newest++) {
@@ -176,8 +144,8 @@ static void copy_quarter(const zygos_accumulator_t *from, zygos_accumulator_t *t
     for (uint32_t i = 0; i < n; i++) {
         const zygos_block_t *block = &from->block[place[i]];
         zygos_block_t *block_out = &to->block[place[i]];
-        copy(piece(&block_out->gram[entry], &block->gram[entry], zygos_gram_entries(end) - entry));
-        copy(piece(&block_out->sum[first], &block->sum[first], end - first));
+        zygos_copy_words(&block_out->gram[entry], &block->gram[entry], zygos_gram_entries(end) - entry);
+        zygos_copy_words(&block_out->sum[first], &block->sum[first], end - first);
     }
 }
 
@@ -188,7 +156,7 @@ static void cut_energy(zygos_handover_t *self, const zygos_sums_t *sums, zygos_s
     uint32_t place[MOST_OPEN];
     memset(self->copied, 0, sizeof self->copied);
     cut_store(&from->store, &to->store);
-    copy(SPAN(to, from, zygos_accumulator_t, width, mean));
+    COPY_SPAN(to, from, zygos_accumulator_t, width, mean);
     for (uint32_t b = 0; b < ZYGOS_ROW_BUFFERS; b++) {
         cut_buffer(from, to, b);
     }
@@ -198,7 +166,7 @@ static void cut_energy(zygos_handover_t *self, const zygos_sums_t *sums, zygos_s
         if (self->whole != 0) {
             cut_block(self, from, to, place[i]);
         } else {
-            copy(REST(&to->block[place[i]], &from->block[place[i]], zygos_block_t, square));
+            COPY_REST(&to->block[place[i]], &from->block[place[i]], zygos_block_t, square);
             self->copied[place[i]] = 1;
         }
     }
@@ -206,8 +174,7 @@ static void cut_energy(zygos_handover_t *self, const zygos_sums_t *sums, zygos_s
         copy_quarter(from, to, 0);
     }
     if (from->noisy != 0) {
-        const uint32_t open = from->store.parity & 1u;
-        COPY_SUMS(&from->noise_open[open], &to->noise_open[open], energy_width(from) - 1u);
+        zygos_store_copy_noise(&from->store, &to->store, (uint32_t)ZYGOS_ENERGY_ROWS, from->store.parity & 1u);
     }
     out->arc = sums->arc;
 }
@@ -228,8 +195,6 @@ static bool energy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_
 {
     const zygos_accumulator_t *from = &sums->energy;
     zygos_accumulator_t *to = &out->energy;
-    const uint32_t width = energy_width(from);
-    const uint32_t closing = (to->store.parity & 1u) ^ 1u;
     const uint32_t quarter = self->unit + 1u;
     if (quarter < ZYGOS_HANDOVER_QUARTERS) {
         if (self->whole == 0) {
@@ -243,11 +208,10 @@ static bool energy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_
         return true;
     }
     if (unit == 0) {
-        copy(piece(to->mean, from->mean, width));
-        to->store.scan = from->store.scan;
-        COPY_SUMS(&from->noise_open[closing], &to->noise_open[closing], width - 1u);
+        zygos_copy_words(to->mean, from->mean, energy_width(from));
+        cut_closing(&from->store, &to->store, (uint32_t)ZYGOS_ENERGY_ROWS);
     } else if (unit == 1u) {
-        COPY_SUMS(&from->noise_closed, &to->noise_closed, width - 1u);
+        zygos_store_copy_noise(&from->store, &to->store, (uint32_t)ZYGOS_ENERGY_ROWS, ZYGOS_NOISE_OF_CLOSED);
     } else if (unit - 2u < zygos_least(to->store.count, (uint32_t)ZYGOS_MAX_BLOCKS)) {
         cut_block(self, from, to, to->store.order[unit - 2u]);
     } else {
@@ -256,94 +220,49 @@ static bool energy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_
     return true;
 }
 
-/* ---------------------------------------------------------------- motor rows */
+/* ---------------------------------------------------------------- motor and momentum rows */
 
-static uint32_t joints_copied(const zygos_sums_t *sums)
+static void cut_rows(const zygos_sums_t *sums, zygos_sums_t *out, uint32_t kind)
 {
-    return zygos_least(sums->config.joints, (uint32_t)ZYGOS_MAX_JOINTS);
+    const zygos_store_t *from = zygos_sums_store(sums, kind);
+    zygos_store_t *to = zygos_sums_store(out, kind);
+    cut_store(from, to);
+    zygos_store_copy_noise(from, to, kind, from->parity & 1u);
+    zygos_store_copy_block(from, to, kind, from->open);
 }
 
-static void cut_motor_block(const zygos_motor_block_t *from, zygos_motor_block_t *to, uint32_t joints)
+static void copy_tables(const zygos_sums_t *sums, zygos_sums_t *out, uint32_t kind)
 {
-    copy(piece(to->joint, from->joint, joints * WORDS(sizeof from->joint[0])));
-    copy(REST(to, from, zygos_motor_block_t, instants));
-}
-
-static void cut_motors(const zygos_sums_t *sums, zygos_sums_t *out)
-{
-    const zygos_motor_sums_t *from = &sums->motors;
-    zygos_motor_sums_t *to = &out->motors;
-    const uint32_t open = zygos_least(from->store.open, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS);
-    cut_store(&from->store, &to->store);
-    cut_motor_block(&from->block[open], &to->block[open], joints_copied(sums));
-}
-
-/* The tables, then block by block, the closing arc last. */
-static bool motor_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
-{
-    const zygos_motor_sums_t *from = &sums->motors;
-    zygos_motor_sums_t *to = &out->motors;
-    const uint32_t joints = joints_copied(sums);
-    if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_motor_sums_t, column_map, block));
-        to->store.scan = from->store.scan;
-        return true;
+    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
+        COPY_SPAN(&out->motors, &sums->motors, zygos_motor_sums_t, column_map, block);
+    } else {
+        COPY_SPAN(&out->momentum, &sums->momentum, zygos_momentum_sums_t, columns, noise_open);
     }
-    if (self->unit > ended_blocks(&to->store, (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
-        return false;
-    }
-    const uint32_t place = zygos_store_place(&to->store, (uint32_t)ZYGOS_MOTOR_ROWS, self->unit - 1u);
-    cut_motor_block(&from->block[place], &to->block[place], joints);
-    return true;
 }
 
-/* ---------------------------------------------------------------- momentum rows */
-
-static uint32_t momentum_width(const zygos_momentum_sums_t *from)
+/* Units before the first block: the tables, and the noise of closed arcs where there is some. */
+static uint32_t units_before(uint32_t kind)
 {
-    return zygos_least(from->columns + 3u, (uint32_t)ZYGOS_MAX_MOMENTUM_ROW);
-}
-
-static void cut_momentum_block(const zygos_momentum_sums_t *from, zygos_momentum_sums_t *to, uint32_t place)
-{
-    COPY_SUMS(&from->block[place].rows, &to->block[place].rows, momentum_width(from));
-    to->block[place].head = from->block[place].head;
-}
-
-static void cut_momentum(const zygos_sums_t *sums, zygos_sums_t *out)
-{
-    const zygos_momentum_sums_t *from = &sums->momentum;
-    zygos_momentum_sums_t *to = &out->momentum;
-    const uint32_t width = momentum_width(from);
-    const uint32_t open = from->store.parity & 1u;
-    cut_store(&from->store, &to->store);
-    copy(SPAN(to, from, zygos_momentum_sums_t, columns, deviation));
-    COPY_SUMS(&from->noise_open[open], &to->noise_open[open], width);
-    cut_momentum_block(from, to, zygos_least(from->store.open, (uint32_t)ZYGOS_MOMENTUM_PLACES));
+    return (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) ? 2u : 1u;
 }
 
 /* The tables with the noise of the closing arc, that of the closed ones, then block by block, the closing arc last. */
-static bool momentum_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
+static bool row_unit(const zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    const zygos_momentum_sums_t *from = &sums->momentum;
-    zygos_momentum_sums_t *to = &out->momentum;
-    const uint32_t width = momentum_width(from);
-    const uint32_t closing = (to->store.parity & 1u) ^ 1u;
+    const uint32_t kind = self->kind;
+    const zygos_store_t *from = zygos_sums_store(sums, kind);
+    zygos_store_t *to = zygos_sums_store(out, kind);
+    const uint32_t before = units_before(kind);
     if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_momentum_sums_t, deviation, noise_open));
-        to->store.scan = from->store.scan;
-        COPY_SUMS(&from->noise_open[closing], &to->noise_open[closing], width);
-        return true;
-    }
-    if (self->unit == 1u) {
-        COPY_SUMS(&from->noise_closed, &to->noise_closed, width);
-        return true;
-    }
-    const uint32_t rank = self->unit - 2u;
-    if ((from->columns == 0) || (rank >= ended_blocks(&to->store, (uint32_t)ZYGOS_MOMENTUM_PLACES))) {
+        copy_tables(sums, out, kind);
+        cut_closing(from, to, kind);
+    } else if (self->unit < before) {
+        zygos_store_copy_noise(from, to, kind, ZYGOS_NOISE_OF_CLOSED);
+    } else if (self->unit - before < zygos_least(to->fresh, (uint32_t)ZYGOS_ORDER_PLACES)) {
+        zygos_store_copy_block(from, to, kind, zygos_store_place(to, kind, self->unit - before));
+    } else {
         return false;
     }
-    cut_momentum_block(from, to, zygos_store_place(&to->store, (uint32_t)ZYGOS_MOMENTUM_ROWS, rank));
     return true;
 }
 
@@ -359,7 +278,7 @@ static void cut_segment(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, 
     const uint32_t width = joint_width(from);
     COPY_SUMS(&from->segment[s].rows, &to->segment[s].rows, width);
     COPY_SUMS(&from->segment[s].noise, &to->segment[s].noise, width);
-    copy(REST(&to->segment[s], &from->segment[s], zygos_joint_segment_t, joint));
+    COPY_REST(&to->segment[s], &from->segment[s], zygos_joint_segment_t, joint);
 }
 
 static void cut_group(const zygos_joint_sums_t *from, zygos_joint_sums_t *to, uint32_t g)
@@ -377,7 +296,7 @@ static void cut_joints(const zygos_sums_t *sums, zygos_sums_t *out)
 {
     const zygos_joint_sums_t *from = &sums->joints;
     zygos_joint_sums_t *to = &out->joints;
-    copy(SPAN(to, from, zygos_joint_sums_t, filling, noise));
+    COPY_SPAN(to, from, zygos_joint_sums_t, filling, noise);
     if (from->width == 0) {
         return;
     }
@@ -406,7 +325,7 @@ static bool joint_unit(const zygos_handover_t *self, const zygos_sums_t *sums, z
     }
     const bool adding = (to->adding != 0);
     if (self->unit == 0) {
-        copy(SPAN(to, from, zygos_joint_sums_t, width, filling));
+        COPY_SPAN(to, from, zygos_joint_sums_t, width, filling);
         if (!adding) {
             COPY_SUMS(&from->noise, &to->noise, joint_width(from));
             COPY_SUMS(&from->joints, &to->joints, joint_width(from));
@@ -421,7 +340,7 @@ static bool joint_unit(const zygos_handover_t *self, const zygos_sums_t *sums, z
 
 static void cut_guard(const zygos_sums_t *sums, zygos_sums_t *out)
 {
-    copy(SPAN(&out->guard, &sums->guard, zygos_guard_t, known, checksum));
+    COPY_SPAN(&out->guard, &sums->guard, zygos_guard_t, known, checksum);
     out->cycle = sums->cycle;
     out->checksum = sums->checksum;
 }
@@ -432,10 +351,10 @@ static bool guard_unit(const zygos_handover_t *self, const zygos_sums_t *sums, z
     const zygos_guard_t *from = &sums->guard;
     const uint32_t p = zygos_least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
     if (self->unit == 0) {
-        copy(SPAN(&out->guard, from, zygos_guard_t, checksum, covariance));
-        copy(piece(out->guard.covariance, from->covariance, zygos_gram_entries(p)));
+        COPY_SPAN(&out->guard, from, zygos_guard_t, checksum, covariance);
+        zygos_copy_words(out->guard.covariance, from->covariance, zygos_gram_entries(p));
     } else {
-        copy(SPAN(&out->guard, from, zygos_guard_t, held_after, held));
+        COPY_SPAN(&out->guard, from, zygos_guard_t, held_after, held);
         COPY_SUMS(&from->held, &out->guard.held, p + 1u);
     }
     return self->unit == 0;
@@ -458,11 +377,9 @@ static bool suits(const zygos_sums_t *sums, uint32_t kind)
         return suits_energy(&sums->energy) &&
                has_time(sums->energy.store.count + 2u + ZYGOS_HANDOVER_QUARTERS, sums->arc, config->arc_cycles);
     }
-    if (kind == (uint32_t)ZYGOS_MOTOR_ROWS) {
-        return has_time(sums->motors.store.fresh + 1u, sums->motors.store.cycles, config->impulse_arc_cycles);
-    }
-    if (kind == (uint32_t)ZYGOS_MOMENTUM_ROWS) {
-        return has_time(sums->momentum.store.fresh + 2u, sums->momentum.store.cycles, config->momentum_arc_cycles);
+    if (kind < (uint32_t)ZYGOS_KINDS_OF_ROWS) {
+        const zygos_store_t *store = zygos_sums_store(sums, kind);
+        return has_time(store->fresh + units_before(kind), store->cycles, zygos_store_longest(config, kind));
     }
     return (kind != ZYGOS_JOINT_KIND) || suits_joints(&sums->joints);
 }
@@ -508,10 +425,8 @@ static void cut(zygos_handover_t *self, const zygos_sums_t *sums, zygos_sums_t *
         cut_energy(self, sums, out);
         break;
     case ZYGOS_MOTOR_ROWS:
-        cut_motors(sums, out);
-        break;
     case ZYGOS_MOMENTUM_ROWS:
-        cut_momentum(sums, out);
+        cut_rows(sums, out, self->kind);
         break;
     case ZYGOS_JOINT_KIND:
         cut_joints(sums, out);
@@ -539,9 +454,8 @@ static bool copy_unit(zygos_handover_t *self, const zygos_sums_t *sums, zygos_su
     case ZYGOS_ENERGY_ROWS:
         return energy_unit(self, sums, out);
     case ZYGOS_MOTOR_ROWS:
-        return motor_unit(self, sums, out);
     case ZYGOS_MOMENTUM_ROWS:
-        return momentum_unit(self, sums, out);
+        return row_unit(self, sums, out);
     case ZYGOS_JOINT_KIND:
         return joint_unit(self, sums, out);
     default:

@@ -3,9 +3,11 @@
 
 #include "zygos/priv/numbers.h"
 
+#include <stddef.h>
 #include <string.h>
 
 #define EPSILON 2.220446049250313e-16
+#define WORD 8u
 
 void zygos_gram_add(double *restrict gram, double *restrict sum, uint32_t width, const double *restrict z)
 {
@@ -194,6 +196,24 @@ bool zygos_is_same(const void *a, const void *b, uint32_t bytes)
         off |= l ^ r;
     }
     return off == 0;
+}
+
+/* Eight words at a time: memcpy() of a library for small cores moves four bytes at a time, because it does not know
+   that these are aligned. */
+void zygos_copy_words(void *to, const void *from, uint32_t words)
+{
+    unsigned char *out = __builtin_assume_aligned(to, WORD);
+    const unsigned char *in = __builtin_assume_aligned(from, WORD);
+    const unsigned char *const end = in + (size_t)words * WORD;
+    for (const unsigned char *const eights = in + (size_t)(words & ~7u) * WORD; in != eights;) {
+        __builtin_memcpy(out, in, 8u * WORD);
+        out += 8u * WORD;
+        in += 8u * WORD;
+    }
+    for (; in != end; in += WORD) {
+        __builtin_memcpy(out, in, WORD);
+        out += WORD;
+    }
 }
 
 uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes)

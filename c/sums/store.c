@@ -225,9 +225,6 @@ static zygos_block_t *overlapping(zygos_store_t *self, uint32_t place)
     return &energy_of(self)->block[(place < (uint32_t)ZYGOS_MAX_BLOCKS) ? place : 0u];
 }
 
-/* Which noise: that of the open or of the closing arc, by parity, or that of closed arcs. */
-#define CLOSED 2u
-
 static uint32_t closing_noise(const zygos_store_t *self)
 {
     return (self->parity & 1u) ^ 1u;
@@ -248,10 +245,34 @@ static matrix_t noise_of(zygos_store_t *self, uint32_t kind, uint32_t which)
 {
     const layout_t *layout = layout_of(kind);
     unsigned char *memory = (unsigned char *)(void *)self;
-    unsigned char *at = memory + ((which < CLOSED) ? layout->noise_open + which * layout->noise : layout->noise_closed);
+    unsigned char *at =
+        memory + ((which < ZYGOS_NOISE_OF_CLOSED) ? layout->noise_open + which * layout->noise : layout->noise_closed);
     const matrix_t out = { (double *)(void *)at, (double *)(void *)(at + layout->noise_sum),
                            width_of(self, kind, 0) - constants_of(self, kind) };
     return out;
+}
+
+static void copy_matrix(matrix_t from, matrix_t to)
+{
+    zygos_copy_words(to.gram, from.gram, zygos_gram_entries(from.width));
+    zygos_copy_words(to.sum, from.sum, from.width);
+}
+
+void zygos_store_copy_block(const zygos_store_t *from, zygos_store_t *to, uint32_t kind, uint32_t place)
+{
+    const layout_t *layout = layout_of(kind);
+    zygos_store_t *all = readable(from);
+    for (uint32_t part = 0; part < layout->parts; part++) {
+        copy_matrix(matrix_of(all, kind, place, part), matrix_of(to, kind, place, part));
+    }
+    zygos_copy_words(extras_of(to, kind, place), extras_of(all, kind, place), (layout->block - layout->extras) / 8u);
+}
+
+void zygos_store_copy_noise(const zygos_store_t *from, zygos_store_t *to, uint32_t kind, uint32_t which)
+{
+    if (has_noise(kind)) {
+        copy_matrix(noise_of(readable(from), kind, which), noise_of(to, kind, which));
+    }
 }
 
 /* ---------------------------------------------------------------- seals */
@@ -1001,7 +1022,7 @@ void zygos_store_judged(zygos_store_t *self, uint32_t kind, bool admitted)
    row sums. */
 static bool move_noise(zygos_store_t *self, uint32_t kind)
 {
-    const matrix_t closed = noise_of(self, kind, CLOSED);
+    const matrix_t closed = noise_of(self, kind, ZYGOS_NOISE_OF_CLOSED);
     const matrix_t noise = noise_of(self, kind, closing_noise(self));
     const bool admitted = (self->admitted != 0);
     const double factor = 1.0 / self->noise_fade;
@@ -1164,7 +1185,7 @@ void zygos_store_clear(zygos_store_t *self, uint32_t kind, double target)
         self->order[place] = (uint8_t)place;
         clear_block(self, kind, place);
     }
-    for (uint32_t which = 0; has_noise(kind) && (which <= CLOSED); which++) {
+    for (uint32_t which = 0; has_noise(kind) && (which <= ZYGOS_NOISE_OF_CLOSED); which++) {
         clear_matrix(noise_of(self, kind, which));
     }
     self->ready = layout_of(kind)->places;
@@ -1182,7 +1203,7 @@ static void fade_noise(zygos_store_t *self, uint32_t kind, double factor)
     self->noise_fade *= factor;
     if (!(self->noise_fade > 0.0)) {
         if (has_noise(kind)) {
-            clear_matrix(noise_of(self, kind, CLOSED));
+            clear_matrix(noise_of(self, kind, ZYGOS_NOISE_OF_CLOSED));
         }
         self->noise_fade = 1.0;
     }
@@ -1308,7 +1329,7 @@ void zygos_store_apply_fade(zygos_store_t *self, uint32_t kind)
         seal_block(self, kind, place, whole);
     }
     if (has_noise(kind) && (self->noise_fade < 1.0)) {
-        fade_matrix(noise_of(self, kind, CLOSED), kind, self->noise_fade);
+        fade_matrix(noise_of(self, kind, ZYGOS_NOISE_OF_CLOSED), kind, self->noise_fade);
     }
     self->noise_fade = 1.0;
     reseal(self);
@@ -1458,7 +1479,7 @@ bool zygos_store_is_whole(const zygos_store_t *self, uint32_t kind)
 {
     zygos_store_t *all = readable(self);
     bool whole = (self->corrupt == 0) && (self->checksum == store_checksum(self)) &&
-                 is_noise_whole(all, kind, CLOSED) && is_open_whole(all, kind);
+                 is_noise_whole(all, kind, ZYGOS_NOISE_OF_CLOSED) && is_open_whole(all, kind);
     for (uint32_t r = 0; whole && (r < self->closed); r++) {
         whole = is_closed_whole(all, kind, r);
     }
@@ -1498,7 +1519,7 @@ static bool is_common_whole(zygos_store_t *self, uint32_t kind)
 {
     return ((self->checksum == store_checksum(self)) || repair(self)) && (self->corrupt != 1u) &&
            are_places_possible(self, kind) && (self->target >= 1.0) && is_factor(self->noise_fade) &&
-           (self->noise_fade > 0.0) && is_noise_whole(self, kind, CLOSED);
+           (self->noise_fade > 0.0) && is_noise_whole(self, kind, ZYGOS_NOISE_OF_CLOSED);
 }
 
 bool zygos_store_scrub(zygos_store_t *self, uint32_t kind)
@@ -1520,7 +1541,7 @@ bool zygos_store_scrub(zygos_store_t *self, uint32_t kind)
             zygos_accumulator_forget_rows(energy_of(self));
         }
         drop_open(self, kind, true);
-        for (uint32_t which = 0; has_noise(kind) && (which < CLOSED); which++) {
+        for (uint32_t which = 0; has_noise(kind) && (which < ZYGOS_NOISE_OF_CLOSED); which++) {
             clear_matrix(noise_of(self, kind, which));
         }
     }

@@ -8,18 +8,13 @@
 
 /* ---------------------------------------------------------------- one kind of rows */
 
-zygos_store_t *zygos_sums_store(zygos_sums_t *self, uint32_t kind)
+zygos_store_t *zygos_sums_store(const zygos_sums_t *self, uint32_t kind)
 {
+    zygos_sums_t *all = (zygos_sums_t *)(uintptr_t)self; /* who only reads uses the same function */
     if (kind == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        return &self->energy.store;
+        return &all->energy.store;
     }
-    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &self->motors.store : &self->momentum.store;
-}
-
-/* The same, for who only reads. */
-static const zygos_store_t *store_of(const zygos_sums_t *self, uint32_t kind)
-{
-    return zygos_sums_store((zygos_sums_t *)(uintptr_t)self, kind);
+    return (kind == (uint32_t)ZYGOS_MOTOR_ROWS) ? &all->motors.store : &all->momentum.store;
 }
 
 void zygos_sums_drop_waiting(zygos_sums_t *self, uint32_t kind)
@@ -68,22 +63,22 @@ bool zygos_sums_is_intact(const zygos_sums_t *self, uint32_t kind, const zygos_c
 
 bool zygos_sums_is_busy(const zygos_sums_t *self, uint32_t kind)
 {
-    return zygos_store_busy(store_of(self, kind), kind);
+    return zygos_store_busy(zygos_sums_store(self, kind), kind);
 }
 
 bool zygos_sums_has_work(const zygos_sums_t *self, uint32_t kind)
 {
-    return zygos_store_has_work(store_of(self, kind), kind);
+    return zygos_store_has_work(zygos_sums_store(self, kind), kind);
 }
 
 bool zygos_sums_can_close(const zygos_sums_t *self, uint32_t kind)
 {
-    return zygos_store_can_close(store_of(self, kind), kind, self->config.forgetting_factor < 1.0);
+    return zygos_store_can_close(zygos_sums_store(self, kind), kind, self->config.forgetting_factor < 1.0);
 }
 
 bool zygos_sums_is_short(const zygos_sums_t *self, uint32_t kind)
 {
-    return zygos_store_is_short(store_of(self, kind));
+    return zygos_store_is_short(zygos_sums_store(self, kind));
 }
 
 /* Ends the open arc, without a task. */
@@ -139,7 +134,7 @@ static bool scrub(zygos_sums_t *self, uint32_t kind)
 static bool is_whole(const zygos_sums_t *self, uint32_t kind)
 {
     return (kind == ZYGOS_JOINT_KIND) ? zygos_joint_sums_is_whole(&self->joints)
-                                      : zygos_store_is_whole(store_of(self, kind), kind);
+                                      : zygos_store_is_whole(zygos_sums_store(self, kind), kind);
 }
 
 void zygos_sums_end_waiting(zygos_sums_t *self, uint32_t kind)

@@ -148,6 +148,9 @@ uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t b
 /// memcmp(), which compilers make a call of a library of, it costs the same whatever they are.
 bool zygos_is_same(const void *a, const void *b, uint32_t bytes);
 
+/// Copies whole words of eight bytes, whose memory has the alignment of a double.
+void zygos_copy_words(void *to, const void *from, uint32_t words);
+
 /// Returns what zygos_fold_words() does.
 uint64_t zygos_fold_memory(uint64_t fold, const void *memory, uint32_t bytes);
 

@@ -148,6 +148,12 @@ const zygos_block_head_t *zygos_store_head(const zygos_store_t *self, uint32_t k
 double zygos_store_instants_of(const zygos_store_t *self, uint32_t kind, uint32_t rank);
 double zygos_store_instants(const zygos_store_t *self, uint32_t kind);
 
+/// Copies a block with what it has beside its sums, or noise of the arc of that parity or of closed arcs; nothing where
+/// there is none. Needs the tables of *from. Accesses nothing outside, whatever memory says.
+#define ZYGOS_NOISE_OF_CLOSED 2u
+void zygos_store_copy_block(const zygos_store_t *from, zygos_store_t *to, uint32_t kind, uint32_t place);
+void zygos_store_copy_noise(const zygos_store_t *from, zygos_store_t *to, uint32_t kind, uint32_t which);
+
 /// Clears the sums of all arcs. target: as the member. Needs the tables. Cost: one pass over all blocks.
 void zygos_store_clear(zygos_store_t *self, uint32_t kind, double target);
 

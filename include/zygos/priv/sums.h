@@ -46,7 +46,7 @@ typedef struct {
 /// Functions of one kind of rows: one of enum zygos_rows, and where it says so also ZYGOS_JOINT_KIND.
 
 /// Returns the blocks of these rows.
-zygos_store_t *zygos_sums_store(zygos_sums_t *self, uint32_t kind);
+zygos_store_t *zygos_sums_store(const zygos_sums_t *self, uint32_t kind);
 
 /// Clears the sums, also of joint rows. Needs the tables. Cost: one memset of them.
 void zygos_sums_clear(zygos_sums_t *self, uint32_t kind);
