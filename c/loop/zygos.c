@@ -32,16 +32,11 @@ static uintptr_t two_of(uintptr_t a, uintptr_t b, uintptr_t c)
     return (a & b) | (a & c) | (b & c);
 }
 
-static uint32_t two_of_words(uint32_t a, uint32_t b, uint32_t c)
-{
-    return (a & b) | (a & c) | (b & c);
-}
-
 /* Copies are turned by so many bits for each: the same bit of two of them, which one particle may flip, is not the same
    bit of what they say. */
 #define TURN 5u
 
-static uintptr_t turned(uintptr_t word, uint32_t by)
+static inline uintptr_t turned(uintptr_t word, uint32_t by)
 {
     const uint32_t bits = 8u * (uint32_t)sizeof word;
     return (word << (by % bits)) | (word >> ((bits - by) % bits));
@@ -52,86 +47,48 @@ static uintptr_t turned_back(uintptr_t word, uint32_t by)
     return turned(word, 8u * (uint32_t)sizeof word - by);
 }
 
-static uint32_t turned_word(uint32_t word, uint32_t by)
+static uintptr_t word_given_to(const zygos_t *self, uint32_t which)
 {
-    return (word << (by % 32u)) | (word >> ((32u - by) % 32u));
-}
-
-static uint32_t turned_word_back(uint32_t word, uint32_t by)
-{
-    return turned_word(word, 32u - by);
-}
-
-static uintptr_t two_of_turned(uintptr_t a, uintptr_t b, uintptr_t c)
-{
-    return two_of(a, turned_back(b, TURN), turned_back(c, 2u * TURN));
-}
-
-static uint32_t two_of_turned_words(uint32_t a, uint32_t b, uint32_t c)
-{
-    return two_of_words(a, turned_word_back(b, TURN), turned_word_back(c, 2u * TURN));
-}
-
-static uint32_t nodes_given_to(const zygos_t *self)
-{
-    return two_of_turned_words(self->given[0].nodes, self->given[1].nodes, self->given[2].nodes);
+    const uintptr_t second = turned_back(self->given[1].word[which], TURN);
+    return two_of(self->given[0].word[which], second, turned_back(self->given[2].word[which], 2u * TURN));
 }
 
 static zygos_given_t given_to(const zygos_t *self)
 {
-    const zygos_given_t *a = &self->given[0];
-    const zygos_given_t *b = &self->given[1];
-    const zygos_given_t *c = &self->given[2];
-    zygos_given_t out;
-    out.config = two_of_turned(a->config, b->config, c->config);
-    out.memory = two_of_turned(a->memory, b->memory, c->memory);
-    out.refine = two_of_turned(a->refine, b->refine, c->refine);
-    out.background = two_of_turned_words(a->background, b->background, c->background);
-    out.nodes = nodes_given_to(self);
-    out.slices = two_of_turned_words(a->slices, b->slices, c->slices);
-    out.reserved = 0;
-    return out;
-}
-
-static zygos_given_t copy_of(const zygos_given_t *what, uint32_t k)
-{
-    const uint32_t by = TURN * k;
-    zygos_given_t out;
-    out.config = turned(what->config, by);
-    out.memory = turned(what->memory, by);
-    out.refine = turned(what->refine, by);
-    out.background = turned_word(what->background, by);
-    out.nodes = turned_word(what->nodes, by);
-    out.slices = turned_word(what->slices, by);
-    out.reserved = 0;
+    zygos_given_t out = { { 0 } };
+    for (uint32_t which = 0; which < ZYGOS_GIVEN_WORDS; which++) {
+        out.word[which] = word_given_to(self, which);
+    }
     return out;
 }
 
 static void give(zygos_t *self, const zygos_given_t *what)
 {
     for (uint32_t k = 0; k < 3u; k++) { /* two of them are right at any time */
-        self->given[k] = copy_of(what, k);
+        for (uint32_t which = 0; which < ZYGOS_GIVEN_WORDS; which++) {
+            self->given[k].word[which] = turned(what->word[which], TURN * k);
+        }
     }
 }
 
 static const zygos_config_t *config_of(const zygos_given_t *given)
 {
-    return (const zygos_config_t *)given->config;
+    return (const zygos_config_t *)given->word[ZYGOS_GIVEN_CONFIG];
 }
 
 static zygos_background_t *memory_of_background(const zygos_given_t *given)
 {
-    return (zygos_background_t *)given->memory;
+    return (zygos_background_t *)given->word[ZYGOS_GIVEN_MEMORY];
 }
 
 static zygos_background_t *background_of(const zygos_given_t *given)
 {
-    return (given->background != 0) ? memory_of_background(given) : NULL;
+    return (given->word[ZYGOS_GIVEN_BACKGROUND] != 0) ? memory_of_background(given) : NULL;
 }
 
 static zygos_in_place_t *in_place_of(const zygos_given_t *given)
 {
-    return (zygos_in_place_t *)given->memory;
+    return (zygos_in_place_t *)given->word[ZYGOS_GIVEN_MEMORY];
 }
 
 static zygos_estimate_t *estimate_of(const zygos_given_t *given)
@@ -143,7 +100,7 @@ static zygos_estimate_t *estimate_of(const zygos_given_t *given)
 /* What zygos_solve() has left must still be that when zygos_step() adopts it. */
 static uint64_t *seal_of(const zygos_given_t *given)
 {
-    return (given->background != 0) ? &memory_of_background(given)->seal : &in_place_of(given)->seal;
+    return (given->word[ZYGOS_GIVEN_BACKGROUND] != 0) ? &memory_of_background(given)->seal : &in_place_of(given)->seal;
 }
 
 /* Of the covariance, which is long, only where it is used: where sums are dropped with the estimate. */
@@ -151,7 +108,7 @@ static uint64_t estimate_checksum(const zygos_given_t *given, const zygos_estima
 {
     const uint32_t most = (uint32_t)ZYGOS_MAX_PARAMETERS;
     const uint32_t p = (estimate->parameters < most) ? estimate->parameters : most;
-    const bool all = (given->background == 0) || (estimate->since > 0);
+    const bool all = (given->word[ZYGOS_GIVEN_BACKGROUND] == 0) || (estimate->since > 0);
     const uint32_t head = (uint32_t)offsetof(zygos_estimate_t, covariance);
     const uint64_t sum = zygos_checksum_memory(0, estimate, head);
     return zygos_checksum_doubles(sum, estimate->covariance, all ? zygos_gram_entries(p) : 0u);
@@ -159,25 +116,19 @@ static uint64_t estimate_checksum(const zygos_given_t *given, const zygos_estima
 
 static zygos_refine_t *refine_of(const zygos_given_t *given)
 {
-    return (zygos_refine_t *)given->refine;
+    return (zygos_refine_t *)given->word[ZYGOS_GIVEN_REFINE];
 }
 
-/* Whether the three copies are the same, which is nearly always so. The members are compared one by one, because a
-   struct of them has a padding on some processors. */
-static bool agree(const zygos_t *self)
+/* Whether the three copies are the same, which is nearly always so. */
+static inline bool agree(const zygos_t *self)
 {
-    const zygos_given_t *a = &self->given[0];
-    const zygos_given_t *b = &self->given[1];
-    const zygos_given_t *c = &self->given[2];
-    const uint32_t twice = 2u * TURN;
-    const uintptr_t pointers = (turned(a->config, TURN) ^ b->config) | (turned(a->config, twice) ^ c->config) |
-                               (turned(a->memory, TURN) ^ b->memory) | (turned(a->memory, twice) ^ c->memory) |
-                               (turned(a->refine, TURN) ^ b->refine) | (turned(a->refine, twice) ^ c->refine);
-    const uint32_t words = (turned_word(a->background, TURN) ^ b->background) |
-                           (turned_word(a->background, twice) ^ c->background) |
-                           (turned_word(a->nodes, TURN) ^ b->nodes) | (turned_word(a->nodes, twice) ^ c->nodes) |
-                           (turned_word(a->slices, TURN) ^ b->slices) | (turned_word(a->slices, twice) ^ c->slices);
-    return (pointers | (uintptr_t)words) == 0;
+    uintptr_t off = 0;
+    for (uint32_t which = 0; which < ZYGOS_GIVEN_WORDS; which++) {
+        const uintptr_t second = self->given[1].word[which];
+        off |=
+            (turned(self->given[0].word[which], TURN) ^ second) | (turned(second, TURN) ^ self->given[2].word[which]);
+    }
+    return off == 0;
 }
 
 /* One flipped bit of the magic number is none. */
@@ -195,7 +146,7 @@ static uint32_t stage_of(const zygos_t *self)
     if (stage == (uint32_t)ZYGOS_STAGE_IDLE) {
         return stage;
     }
-    return (uint32_t)ZYGOS_STAGE_ASKED * (two_of_words(stage, stage >> 2u, stage >> 4u) & 3u);
+    return (uint32_t)ZYGOS_STAGE_ASKED * (uint32_t)(two_of(stage, stage >> 2u, stage >> 4u) & 3u);
 }
 
 static void move_to(zygos_t *self, enum zygos_stage stage)
@@ -208,7 +159,7 @@ static void move_to(zygos_t *self, enum zygos_stage stage)
 #define SPOILED 8u
 static bool is_set(uint32_t flag)
 {
-    return (two_of_words(flag, flag >> 1u, flag >> 2u) & 1u) != 0;
+    return (two_of(flag, flag >> 1u, flag >> 2u) & 1u) != 0;
 }
 
 /* That the sums were given up, which the background looks at. */
@@ -258,10 +209,10 @@ static int begin(zygos_t *self, const zygos_config_t *config, void *memory, uint
     const bool background = (bytes >= (uint32_t)sizeof(zygos_background_t));
     memset(memory, 0, background ? sizeof(zygos_background_t) : sizeof(zygos_in_place_t));
     const zygos_given_t given = {
-        .config = (uintptr_t)config,
-        .memory = (uintptr_t)memory,
-        .background = background ? 1u : 0u,
-        .nodes = nodes_of(config),
+        .word = { [ZYGOS_GIVEN_CONFIG] = (uintptr_t)config,
+                  [ZYGOS_GIVEN_MEMORY] = (uintptr_t)memory,
+                  [ZYGOS_GIVEN_BACKGROUND] = background ? 1u : 0u,
+                  [ZYGOS_GIVEN_NODES] = nodes_of(config) },
     };
     give(self, &given);
     publish_nothing(self, ZYGOS_REFINE_WAITS);
@@ -290,9 +241,10 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     if ((self->magic != ZYGOS_BEGUN) && !is_begun(self)) {
         return ZYGOS_E_ORDER;
     }
-    uint32_t nodes = self->given[0].nodes;
-    if (turned_word(nodes, TURN) != self->given[1].nodes) { /* two that are equal are what two of three say */
-        nodes = nodes_given_to(self);
+    uintptr_t nodes = self->given[0].word[ZYGOS_GIVEN_NODES];
+    if (turned(nodes, TURN) !=
+        self->given[1].word[ZYGOS_GIVEN_NODES]) { /* two that are equal are what two of three say */
+        nodes = word_given_to(self, ZYGOS_GIVEN_NODES);
     }
     const uint32_t node = frame->id & 0x7Fu;
     const bool own = ((node < 32u) && (((nodes >> node) & 1u) != 0)) || (frame->id == ZYGOS_ID_SYNC) ||
@@ -588,13 +540,13 @@ static bool attend(zygos_t *self, const zygos_given_t *given)
         refine_anew(self, given);
     }
     if (stage == (uint32_t)ZYGOS_STAGE_GIVEN) {
-        return given->background != 0;
+        return given->word[ZYGOS_GIVEN_BACKGROUND] != 0;
     }
     if (stage == (uint32_t)ZYGOS_STAGE_SOLVED) {
         adopt(self, given);
     } else if (stage == (uint32_t)ZYGOS_STAGE_ASKED) {
         hand_over(self, given);
-        return (given->background != 0) || (stage_of(self) != (uint32_t)ZYGOS_STAGE_GIVEN);
+        return (given->word[ZYGOS_GIVEN_BACKGROUND] != 0) || (stage_of(self) != (uint32_t)ZYGOS_STAGE_GIVEN);
     }
     return true;
 }
@@ -607,7 +559,8 @@ static void refine(zygos_t *self, const zygos_given_t *given, const zygos_cycle_
     if (is_set(self->refining)) {
         return; /* the background begins it */
     }
-    const uint32_t most = (given->slices > 0) ? given->slices : UINT32_MAX;
+    const uintptr_t slices = given->word[ZYGOS_GIVEN_SLICES];
+    const uintptr_t most = (slices > 0) ? slices : UINT32_MAX;
     for (uint32_t slice = 0; (slice < most) && (done >= 0); slice++) {
         done = zygos_refine_step(task, config_of(given));
         if (done == 0) {
@@ -669,7 +622,7 @@ int zygos_step(zygos_t *self)
     if (attended != 1) {
         return attended;
     }
-    if (given->refine != 0) {
+    if (given->word[ZYGOS_GIVEN_REFINE] != 0) {
         refine(self, given, zygos_receiver_front(&self->state.receiver));
     }
     int stepped = zygos_arm_step(&self->state);
@@ -698,7 +651,7 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
         mended = mend(self, given);
         stepped = (mended < 0) ? mended : zygos_arm_cycle(&self->state, cycle);
     }
-    if (given->refine != 0) {
+    if (given->word[ZYGOS_GIVEN_REFINE] != 0) {
         refine(self, given, (stepped > 0) ? cycle : NULL);
     }
     return stepped;
@@ -713,8 +666,8 @@ int zygos_attach(zygos_t *self, zygos_refine_t *refine, uint32_t slices)
         return ZYGOS_E_ORDER;
     }
     zygos_given_t given = given_to(self);
-    given.refine = (uintptr_t)refine;
-    given.slices = slices;
+    given.word[ZYGOS_GIVEN_REFINE] = (uintptr_t)refine;
+    given.word[ZYGOS_GIVEN_SLICES] = slices;
     give(self, &given);
     return 1;
 }
@@ -737,7 +690,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         return ZYGOS_E_ORDER;
     }
     const zygos_given_t given = given_to(self);
-    if ((given.background == 0) && (stage_of(self) == (uint32_t)ZYGOS_STAGE_GIVEN)) {
+    if ((given.word[ZYGOS_GIVEN_BACKGROUND] == 0) && (stage_of(self) == (uint32_t)ZYGOS_STAGE_GIVEN)) {
         return 0;
     }
     if (mend(self, &given) == ZYGOS_E_CONFIG) { /* all is made anew from the configuration in memory */
@@ -765,7 +718,7 @@ int zygos_seal(zygos_t *self, uint8_t *head)
         return ZYGOS_E_ORDER;
     }
     const zygos_given_t given = given_to(self);
-    if ((given.background == 0) && (stage_of(self) == (uint32_t)ZYGOS_STAGE_GIVEN)) {
+    if ((given.word[ZYGOS_GIVEN_BACKGROUND] == 0) && (stage_of(self) == (uint32_t)ZYGOS_STAGE_GIVEN)) {
         return 0;
     }
     const uint64_t losses = self->losses;

@@ -89,16 +89,19 @@ typedef struct {
     uint32_t corrupt;
 } zygos_in_place_t;
 
-/// What zygos_init() was given, and follows from the configuration for the interrupt. It is kept three times, the
-/// second and the third time turned by 5 and 10 bits, and a bit is what two of them say.
+/// The words of what zygos_init() was given, and follows from the configuration for the interrupt.
+#define ZYGOS_GIVEN_CONFIG 0u     ///< Address of the configuration,
+#define ZYGOS_GIVEN_MEMORY 1u     ///< of the memory,
+#define ZYGOS_GIVEN_REFINE 2u     ///< and of the refinement; 0: none.
+#define ZYGOS_GIVEN_BACKGROUND 3u ///< 1: the memory is a zygos_background_t; 0: a zygos_in_place_t.
+#define ZYGOS_GIVEN_NODES 4u      ///< Of this arm, as bits.
+#define ZYGOS_GIVEN_SLICES 5u     ///< Of the refinement, in each cycle.
+#define ZYGOS_GIVEN_WORDS 6u
+
+/// All of that. It is kept three times, the second and the third time turned by 5 and 10 bits, and a bit is what two of
+/// them say.
 typedef struct {
-    uintptr_t config;
-    uintptr_t memory;
-    uintptr_t refine;
-    uint32_t background; ///< 1: memory is a zygos_background_t; 0: a zygos_in_place_t.
-    uint32_t nodes;      ///< Of this arm, as bits.
-    uint32_t slices;     ///< Of the refinement, in each cycle.
-    uint32_t reserved;
+    uintptr_t word[ZYGOS_GIVEN_WORDS];
 } zygos_given_t;
 
 /// zygos_t.magic of an arm that zygos_init() or zygos_resume() has prepared.

@@ -25,6 +25,8 @@ CUT = {
     lib.ZYGOS_MOMENTUM_ROWS: ("momentum",), 3: ("joints",), 4: ("guard", "cycle", "checksum"),
 }  # fmt: skip
 """What each cut of the hand-over is of, by ``zygos_handover_t.kind``."""
+BACKGROUND = 3
+"""Which word of ``zygos_given_t`` says that the memory holds a copy of the sums."""
 WRITTEN = ("value", "sigma", "half95", "covariance", "solution")
 
 
@@ -302,9 +304,9 @@ def test_misuse_is_refused() -> None:
         assert call() == lib.ZYGOS_E_ORDER
     assert lib.zygos_init(arm, config, memory, least - 1) == lib.ZYGOS_E_MEMORY
     assert lib.zygos_init(arm, config, memory, least) == 1
-    assert arm.given[0].background == 0
+    assert arm.given[0].word[BACKGROUND] == 0
     assert lib.zygos_init(arm, config, memory, size) == 1
-    assert arm.given[0].background == 1
+    assert arm.given[0].word[BACKGROUND] == 1
     assert lib.zygos_frame(arm, null) == lib.zygos_solve(arm, null) == lib.zygos_seal(arm, null) == lib.ZYGOS_E_NULL
     assert lib.zygos_step(null) == lib.zygos_restart(null, 0) == lib.zygos_cycle(arm, null) == lib.ZYGOS_E_NULL
     config.joints = 0
@@ -361,13 +363,13 @@ def test_a_reference_that_was_changed_is_told(begun: tuple[Loop, Any, int]) -> N
     assert lib.zygos_seal(loop.native, ffi.new("uint8_t[24]")) == lib.ZYGOS_E_CONFIG
 
 
-@pytest.mark.parametrize("member", ["config", "memory", "refine", "background", "nodes", "slices"])
+@pytest.mark.parametrize("word", range(6))
 @pytest.mark.parametrize("copy", [0, 1, 2])
-def test_what_was_given_is_voted(begun: tuple[Loop, Any, int], member: str, copy: int) -> None:
+def test_what_was_given_is_voted(begun: tuple[Loop, Any, int], word: int, copy: int) -> None:
     loop, array, k = begun
     for bit in (0, 4, 31):
         before = bytes(ffi.buffer(loop.native.given))
-        setattr(loop.native.given[copy], member, getattr(loop.native.given[copy], member) ^ (1 << bit))
+        loop.native.given[copy].word[word] ^= 1 << bit
         assert loop.cycle(array + k) >= 0
         assert bytes(ffi.buffer(loop.native.given)) == before
 

@@ -76,7 +76,7 @@ typedef struct {
 /// Digest of the offsets and types in the structs that library and caller exchange, at the default capacities on a
 /// processor of 64 bits. It changes when a field is moved or given another type, and not when it is renamed. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0x3CF3DC69u
+#define ZYGOS_LAYOUT 0x2093CA94u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
