@@ -575,8 +575,8 @@ int zygos_cycle_wrapped(const zygos_previous_cycle_t *previous, const zygos_conf
     for (uint32_t i = 0; i < config->joints; i++) {
         const double link = config->joint[i].rigid ? 0.0 : __builtin_fabs(cycle->q[i] - previous->q[i]);
         const double motor = __builtin_fabs(cycle->theta[i] - previous->theta[i]);
-        farthest = (link > farthest) ? link : farthest;
-        farthest = (motor > farthest) ? motor : farthest;
+        farthest = zygos_larger(link, farthest);
+        farthest = zygos_larger(motor, farthest);
     }
     return (farthest > HALF_RANGE_RAD) ? 1 : 0;
 }
@@ -586,7 +586,7 @@ int zygos_cycle_apart(const double *signal, uint32_t joints)
     double widest = 0.0;
     for (uint32_t i = 0; i < joints; i++) {
         const double apart = __builtin_fabs(signal[joints + i] - signal[i]);
-        widest = (apart > widest) ? apart : widest;
+        widest = zygos_larger(apart, widest);
     }
     return (widest > HALF_RANGE_RAD) ? 1 : 0;
 }

@@ -2,6 +2,7 @@
 #include "zygos/priv/tables.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <stddef.h>
 
@@ -79,8 +80,7 @@ bool zygos_patrol_part(zygos_patrol_t *self, zygos_arm_t *arm, const zygos_confi
     const uint32_t region = (self->region < REGIONS) ? self->region : 0u;
     const uint32_t bytes = regions[region].bytes;
     const uint32_t from = (self->offset < bytes) ? self->offset : 0u;
-    const uint32_t left = bytes - from;
-    const uint32_t part = (left < MOST) ? left : MOST;
+    const uint32_t part = zygos_least(bytes - from, MOST);
     bool good = true;
     if (region == 0) {
         if (from == 0) {

@@ -2,6 +2,7 @@
 #include "zygos/zygos.h"
 
 #include "zygos/priv/gram.h"
+#include "zygos/priv/numbers.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -106,8 +107,7 @@ static uint64_t *seal_of(const zygos_given_t *given)
 /* Of the covariance, which is long, only where it is used: where sums are dropped with the estimate. */
 static uint64_t estimate_checksum(const zygos_given_t *given, const zygos_estimate_t *estimate)
 {
-    const uint32_t most = (uint32_t)ZYGOS_MAX_PARAMETERS;
-    const uint32_t p = (estimate->parameters < most) ? estimate->parameters : most;
+    const uint32_t p = zygos_least(estimate->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
     const bool all = (given->word[ZYGOS_GIVEN_BACKGROUND] == 0) || (estimate->since > 0);
     const uint32_t head = (uint32_t)offsetof(zygos_estimate_t, covariance);
     const uint64_t sum = zygos_checksum_memory(0, estimate, head);

@@ -600,7 +600,7 @@ static void enter(zygos_refine_t *self, const zygos_config_t *config)
     const uint32_t at = self->interval + (previous ? 1u : 0u);
     const uint32_t left = self->intervals - at;
     const double share = (double)at / (double)self->intervals;
-    const uint32_t distance = (at < left) ? at : left;
+    const uint32_t distance = zygos_least(at, left);
     if (self->group == 0u) {
         zygos_refiner_constants(&self->filter, self->work.constant);
         zygos_dynamics_set(&self->work.dynamics, &self->filter.propagation, config, self->work.constant);
@@ -841,7 +841,7 @@ static void linearise(zygos_refine_t *self, const zygos_config_t *config)
         return;
     }
     const uint32_t every = self->settings.every;
-    self->work.shapes = (every < (uint32_t)ZYGOS_MAX_SHAPES) ? every : (uint32_t)ZYGOS_MAX_SHAPES;
+    self->work.shapes = zygos_least(every, (uint32_t)ZYGOS_MAX_SHAPES);
     self->work.leads = ((every > 1u) && (self->lost_lately == 0u)) ? readings_of(self, config) : 0u;
     self->work.cycles = every;
     for (uint32_t k = 0; k < self->work.leads; k++) {
@@ -1063,7 +1063,7 @@ static void conclude(zygos_refine_t *self)
     adapt(self);
     self->windows++;
     const uint32_t most = calm ? ZYGOS_REFINE_LONGEST : ZYGOS_REFINE_LONGEST - ZYGOS_REFINE_CALM;
-    const uint32_t awaited = (self->awaited < most) ? self->awaited : most;
+    const uint32_t awaited = zygos_least(self->awaited, most);
     if (calm) {
         self->awaited = (awaited > 0u) ? awaited - 1u : 0u;
     } else {

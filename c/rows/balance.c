@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 #include "zygos/priv/balance.h"
 
+#include "zygos/priv/numbers.h"
 #include "zygos/priv/reduction.h"
 #include "zygos/wire.h"
 
@@ -108,7 +109,7 @@ static double advance_integrals(zygos_balance_t *self, const zygos_config_t *con
         work += done;
         const double least = ratio * ZYGOS_TORQUE_ROUNDING;
         const double sigma = config->joint[i].torque_sigma;
-        const double own = ((sigma > least) ? sigma : least) * moved;
+        const double own = zygos_larger(sigma, least) * moved;
         const double share = config->joint[i].torque_relative_sigma * done;
         walk += own * own + share * share;
         step_work += ratio * (tau_next[i] - tau[i]) * state->theta_rate[i];

@@ -235,7 +235,7 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
         const double rest = variance[2] - shared * shared;
         self->factor[s][0] = sigma * value_norm;
         self->factor[s][1] = sigma * shared;
-        self->factor[s][2] = sigma * __builtin_sqrt((rest > 0.0) ? rest : 0.0);
+        self->factor[s][2] = sigma * __builtin_sqrt(zygos_larger(rest, 0.0));
         self->rate_variance[s] = sigma * sigma * variance[2];
     }
     double gyro[3];

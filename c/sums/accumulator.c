@@ -316,10 +316,10 @@ static uint32_t share_slices(zygos_accumulator_t *self, uint32_t of_two)
     zygos_row_buffer_t *newer = buffer_behind(self, 2u);
     const uint32_t waiting = (left_of(older) > 0 ? 1u : 0u) + (left_of(newer) > 0 ? 1u : 0u);
     const uint32_t slices = (waiting > 1u) ? of_two : 2u;
-    const uint32_t first = (left_of(older) < slices) ? left_of(older) : slices;
+    const uint32_t first = zygos_least(left_of(older), slices);
     const uint32_t rest = slices - first;
     add_slices(self, older, first);
-    add_slices(self, newer, (left_of(newer) < rest) ? left_of(newer) : rest);
+    add_slices(self, newer, zygos_least(left_of(newer), rest));
     return waiting;
 }
 

@@ -125,7 +125,7 @@ double zygos_gram_scanned(const zygos_gram_scan_t *scan, const double *gram, uin
         /* Not-a-number compares false with everything; neither it nor infinity is a sum. */
         const bool good = (off <= tolerance) && (tolerance < 1e300);
         const double ratio = good ? off / (tolerance + 1e-300) : 2.0;
-        worst = (ratio > worst) ? ratio : worst;
+        worst = zygos_larger(ratio, worst);
     }
     return worst;
 }

@@ -42,7 +42,7 @@ static uint64_t guard_checksum(const zygos_guard_t *self)
 {
     const unsigned char *from = (const unsigned char *)&self->noise_ratio;
     const size_t fixed = offsetof(zygos_guard_t, covariance) - offsetof(zygos_guard_t, noise_ratio);
-    const uint32_t p = (self->parameters < ZYGOS_MAX_PARAMETERS) ? self->parameters : ZYGOS_MAX_PARAMETERS;
+    const uint32_t p = zygos_least(self->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
     const size_t words = fixed / sizeof(uint64_t) + zygos_gram_entries(p);
     uint64_t hash = 14695981039346656037u ^ self->parameters;
     for (size_t i = 0; i < words; i++) {
@@ -119,7 +119,7 @@ static void add_right_side(const zygos_guard_t *self, const double *gram, const 
 
 double zygos_guard_chi_square_limit(double freedom)
 {
-    const double u = 2.0 / (9.0 * ((freedom > 1.0) ? freedom : 1.0));
+    const double u = 2.0 / (9.0 * zygos_larger(freedom, 1.0));
     const double third = 1.0 - u + SIGMAS * __builtin_sqrt(u);
     return ZYGOS_GUARD_MARGIN * third * third * third;
 }
@@ -272,7 +272,7 @@ static void hold_part(zygos_guard_t *self, const zygos_accumulator_t *sums, uint
 {
     const bool first = (self->held_anew != 0) && (sums->store.rank == sums->store.closed);
     const uint32_t rows = sums->width - 1u;
-    const uint32_t last = zygos_gram_entries((end < rows) ? end : rows);
+    const uint32_t last = zygos_gram_entries(zygos_least(end, rows));
     for (uint32_t k = zygos_gram_entries(sums->store.row); k < last; k++) {
         self->held.gram[k] = block->gram[k] + (first ? 0.0 : self->held.gram[k]);
     }
@@ -637,7 +637,7 @@ bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
     }
     const double ratio = estimate->noise_ratio;
     self->noise_ratio = zygos_within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
-    self->cluster = (estimate->cluster > ZYGOS_GUARD_CLUSTER) ? estimate->cluster : ZYGOS_GUARD_CLUSTER;
+    self->cluster = zygos_larger(estimate->cluster, ZYGOS_GUARD_CLUSTER);
     self->energy.residual = estimate->residual * estimate->residual;
     memcpy(self->solution, estimate->solution, sizeof self->solution);
     for (uint32_t i = 0, k = 0; i < p; i++) {
@@ -651,7 +651,7 @@ bool zygos_guard_adopt(zygos_sums_t *sums, const zygos_estimate_t *estimate)
 
 void zygos_guard_take_over(zygos_guard_t *self, const zygos_guard_t *from)
 {
-    const uint32_t p = (from->parameters < ZYGOS_MAX_PARAMETERS) ? from->parameters : ZYGOS_MAX_PARAMETERS;
+    const uint32_t p = zygos_least(from->parameters, (uint32_t)ZYGOS_MAX_PARAMETERS);
     const size_t fixed = offsetof(zygos_guard_t, covariance) - offsetof(zygos_guard_t, checksum);
     memcpy(&self->checksum, &from->checksum, fixed);
     memcpy(self->covariance, from->covariance, zygos_gram_entries(p) * sizeof from->covariance[0]);

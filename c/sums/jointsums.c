@@ -260,8 +260,7 @@ static void add_entries(zygos_joint_sums_t *self, uint32_t most)
     zygos_joint_segment_t *segment = &self->segment[1u - self->filling];
     zygos_joint_gram_t *group = &self->group[self->target];
     const uint32_t entries = zygos_gram_entries(self->width);
-    const uint32_t left = entries - self->cursor;
-    const uint32_t count = (most < left) ? most : left;
+    const uint32_t count = zygos_least(most, entries - self->cursor);
     const uint32_t at = self->cursor;
     move_entries(self,
                  (entries_t){ &segment->rows.gram[at], &segment->noise.gram[at], &group->gram[at],

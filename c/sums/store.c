@@ -184,7 +184,7 @@ static uint32_t width_of(const zygos_store_t *self, uint32_t kind, uint32_t part
         most = ZYGOS_MAX_MOMENTUM_ROW;
         found = momentum_of(self)->columns + constants_of(self, kind);
     }
-    return (found < most) ? found : most;
+    return zygos_least(found, most);
 }
 
 static unsigned char *block_at(zygos_store_t *self, const layout_t *layout, uint32_t place)
@@ -662,7 +662,7 @@ static void write_sizes(const zygos_store_t *self, uint32_t kind, double *size)
     const double scale = (all > 0.0) ? instants / all : 0.0;
     for (uint32_t r = 0; r < self->closed; r++) {
         const double share = scale * spread[r];
-        size[r] = (share > size[r]) ? share : size[r];
+        size[r] = zygos_larger(share, size[r]);
     }
 }
 
@@ -825,8 +825,7 @@ static void verify_noise(zygos_store_t *self, uint32_t kind)
 {
     const matrix_t noise = noise_of(self, kind, closing_noise(self));
     const double instants = (double)self->closing_instants;
-    const uint32_t part = zygos_store_part(self, kind);
-    const uint32_t end = (part < noise.width) ? part : noise.width;
+    const uint32_t end = zygos_least(zygos_store_part(self, kind), noise.width);
     zygos_gram_scan(&self->scan, noise.gram, self->row, end);
     self->row = end;
     if (end < noise.width) {
@@ -949,7 +948,7 @@ static void eliminate(zygos_store_t *self, uint32_t kind)
         const uint32_t last = rows.width - constants_of(self, kind);
         if (self->row < last) {
             const uint32_t part = zygos_store_part(self, kind);
-            eliminate_rows(self, kind, rows, (part < last) ? part : last);
+            eliminate_rows(self, kind, rows, zygos_least(part, last));
             if (goes_on(rows, part)) {
                 return;
             }
@@ -1027,8 +1026,7 @@ static bool move_noise(zygos_store_t *self, uint32_t kind)
     const bool admitted = (self->admitted != 0);
     const double factor = 1.0 / self->noise_fade;
     if (self->row < noise.width) {
-        const uint32_t part = zygos_store_part(self, kind);
-        const uint32_t end = (part < noise.width) ? part : noise.width;
+        const uint32_t end = zygos_least(zygos_store_part(self, kind), noise.width);
         for (uint32_t k = zygos_gram_entries(self->row); k < zygos_gram_entries(end); k++) {
             closed.gram[k] += admitted ? factor * noise.gram[k] : 0.0; /* what is rejected may be no number */
             noise.gram[k] = 0.0;
@@ -1401,7 +1399,7 @@ uint32_t zygos_store_drop_until(zygos_store_t *self, uint32_t kind, uint64_t cyc
         dropped += ends_arc(self, kind, drop) ? 1u : 0u;
     }
     free_ranks(self, 0, drop);
-    self->arcs -= (dropped < self->arcs) ? dropped : self->arcs;
+    self->arcs -= zygos_least(dropped, self->arcs);
     reduce_noise(self, kind, before);
     return dropped;
 }
@@ -1442,8 +1440,7 @@ static double worst_of(zygos_store_t *self, uint32_t kind, uint32_t place)
     for (uint32_t part = 0; part < layout_of(kind)->parts; part++) {
         matrix_t matrix = matrix_of(self, kind, place, part);
         matrix.width -= (head_of(self, kind, place)->checksum != 0) ? layout_of(kind)->overlaps : 0u;
-        const double here = violation(matrix, instants_of(self, kind, place)[part]);
-        worst = (here > worst) ? here : worst;
+        worst = zygos_larger(violation(matrix, instants_of(self, kind, place)[part]), worst);
     }
     return worst;
 }
