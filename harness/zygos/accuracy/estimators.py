@@ -152,5 +152,5 @@ ESTIMATORS: tuple[Estimator, ...] = (
         True,
     ),
     Estimator("flight", "the C library, from CAN frames, with default settings", flight, True, True),
-    Estimator("refined", "zygos refine, from CAN frames, where it publishes", refined, True, planar=True, seeds=10),
+    Estimator("refined", "from CAN frames, where zygos estimate refines", refined, True, planar=True, seeds=10),
 )

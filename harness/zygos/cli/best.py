@@ -105,10 +105,15 @@ class Best:
         return replace(
             energy,
             lead=(*energy.lead, Text(said, "note", "Values")),
-            sections=(*(() if part_of_page is None else (part_of_page,)), *energy.sections, *behind),
+            sections=(*(() if part_of_page is None else (part_of_page,)), *map(_of_energy, energy.sections), *behind),
             drawn={**energy.drawn, **{key: {**energy.drawn[key], **more} for key, more in drawn.items()}},
             brief=shown,
         )
+
+
+def _of_energy(one: Section) -> Section:
+    """A section of the energy balance, under a title that tells its values from the published ones."""
+    return replace(one, title="Values of the energy balance") if one.key == "parameters" else one
 
 
 def _of_refinement(found: Refinement, draw: bool) -> tuple[tuple[Section, ...], Mapping[str, Mapping[str, Any]]]:

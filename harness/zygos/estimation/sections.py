@@ -73,7 +73,7 @@ _READING = (
     ),
     (
         "± 95 %",
-        "is half of an interval that holds the true value in 95 of 100 runs with other noise. An error common to all "
+        "Half of an interval that holds the true value in 95 of 100 runs with other noise. An error common to all "
         "torques is in no interval: it scales everything alike.",
     ),
     (

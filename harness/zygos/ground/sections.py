@@ -52,12 +52,12 @@ _OF_ESTIMATES = (
     ),
     (
         "± 95 %",
-        "is half of an interval from leaving out one block of time at a time. It contains what the model lacks, as far "
+        "Half of an interval from leaving out one block of time at a time. It contains what the model lacks, as far "
         "as other blocks lack it differently. Few degrees of freedom make it wide.",
     ),
     (
         "Held-out torque left",
-        "is the part of the torque that the parameters of all other blocks do not predict. A joint with less torque "
+        "The part of the torque that the parameters of all other blocks do not predict. A joint with less torque "
         "than five times its noise is not evaluated.",
     ),
 )
@@ -202,9 +202,10 @@ def score_sections(
 
 
 def run_names(paths: Sequence[Path | None]) -> list[str]:
-    """Short names of runs: file and folder, or a number where there is no file."""
+    """Short names of runs: the file, behind its folder where several have that name, or a number without a file."""
+    files = [path.name for path in paths if path is not None]
     return [
-        f"{path.parent.name}/{path.name}" if path is not None else f"run {number}"
+        f"run {number}" if path is None else path.name if files.count(path.name) == 1 else "/".join(path.parts[-2:])
         for number, path in enumerate(paths, 1)
     ]
 

@@ -34,7 +34,7 @@ _READING = (
     ),
     (
         "Differences",
-        "are relative to the largest entry of the column. A tolerance is what rounding alone may do to this run.",
+        "They are relative to the largest entry of the column. A tolerance is what rounding alone may do to this run.",
     ),
     (
         "Charts",

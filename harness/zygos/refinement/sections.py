@@ -61,7 +61,7 @@ _READING = (
     ("Normalised squares", "The square of an innovation divided by its expected variance is 1 on average."),
     (
         "The bound",
-        "is the smallest standard deviation that any unbiased estimator can have from this motion, with the noise of "
+        "The smallest standard deviation that any unbiased estimator can have from this motion, with the noise of "
         "the torques that was found.",
     ),
     ("Not seen", "by any of this: a common error of all torques. It scales all parameters alike."),
