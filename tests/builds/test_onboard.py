@@ -292,9 +292,10 @@ def test_what_the_library_does_not_decode_passes(program: Path, frames: NDArray[
 
 
 def test_the_configuration_is_that_of_the_paper(tmp_path: Path) -> None:
-    """arm_config.h is what `zygos compile-model` writes."""
+    """arm_config.h and arm.zyg are what `zygos compile-model` writes."""
     assert cli_support.run("compile-model", ROOT / "examples/paper/arm.toml", "-o", tmp_path) == 0
     assert (ONBOARD / "arm_config.h").read_text() == (tmp_path / "arm_config.h").read_text()
+    assert (ONBOARD / "arm.zyg").read_bytes() == (tmp_path / "arm.zyg").read_bytes()
 
 
 def test_a_copy_of_the_folder_links_what_is_installed(program: Path, tmp_path: Path) -> None:
