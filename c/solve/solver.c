@@ -544,8 +544,8 @@ static void add_motor_arc(const zygos_solver_t *work, uint32_t rank, double *out
 {
     const zygos_motor_block_t *arc = zygos_motor_sums_at(&work->sums->motors, rank);
     for (uint32_t i = 0; i < work->sums->config.joints; i++) {
-        uint32_t place[ZYGOS_MAX_IMPULSE + 1];
         if (work->weight[i] > 0.0) {
+            uint32_t place[ZYGOS_MAX_IMPULSE + 1];
             embed(arc->joint[i].gram, place, motor_places(work, i, place), work->weight[i], out, stride);
         }
     }
