@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import struct
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -22,6 +26,7 @@ from conftest import EXAMPLE, ROOT
 from zygos.arm import load_arm, save_arm
 from zygos.can import bus
 from zygos.can.run import read_run
+from zygos.cli import listen
 from zygos.model.model import load_model
 from zygos.telemetry.drives import read_drives
 from zygos.telemetry.frames import Encoder
@@ -184,3 +189,42 @@ def test_simulating_refused(
     err = capsys.readouterr().err.replace("\n", " ")
     assert said in err and "remedy: " in err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_seven_drives_at_500_hz_on_can_fd_leave_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hearing, decoding and recording an answer takes at most half of the time in which the next one comes."""
+    seconds, hertz, drives = 6, 500, 7
+    answers = []
+    for k in range(hertz * seconds):
+        for i in range(drives):
+            angle = round((0.5 * math.sin(1.5 * k / hertz + i) + 12.5) / 25.0 * 65535)
+            data = bytes([i + 1, angle >> 8, angle & 255, 0x80, 8, 0, 30, 30])
+            answers.append(can.Message(arbitration_id=0x11 + i, is_extended_id=False, is_fd=True, data=data))
+    begun, spent_s = threading.Event(), [0.0]
+    hear, arm = listen._hear, can.Bus(interface="virtual", channel="test_pace", protocol=can.CanProtocol.CAN_FD)
+
+    def send() -> None:
+        begun.wait(30.0)
+        time.sleep(0.5)
+        for answer in answers:
+            arm.send(answer)
+
+    def measured(*arguments: Any) -> Any:
+        begun.set()
+        before = time.thread_time()
+        try:
+            return hear(*arguments)
+        finally:
+            spent_s[0] = time.thread_time() - before
+
+    monkeypatch.setattr(listen, "_hear", measured)
+    sender = threading.Thread(target=send)
+    sender.start()
+    heard = tmp_path / "heard.log"
+    bus_of = ("-i", "virtual", "-c", "test_pace", "--idle", 2, "--log", heard)
+    run("listen", *bus_of, "--drive", "damiao", "--nodes", "1-7", "--urdf", URDF)  # too even a time for an estimate
+    sender.join()
+    arm.shutdown()
+    assert [bytes(one.data) for one in bus.read_messages(heard, [])] == [bytes(one.data) for one in answers]
+    assert 0.0 < spent_s[0] / len(answers) < 0.5 / (hertz * drives)
