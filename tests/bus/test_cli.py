@@ -743,7 +743,10 @@ def test_the_demo_says_when_frames_were_lost(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.slow
-def test_the_demo_says_what_its_estimate_is_worth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_demo_says_what_its_estimate_is_worth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And README shows some of it."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(demo, "choose_bus", lambda: ("virtual", "test_demo"))
     demo.run_demo(tmp_path / "demo")
@@ -751,3 +754,11 @@ def test_the_demo_says_what_its_estimate_is_worth(tmp_path: Path, monkeypatch: p
     hold("demo", content)
     assert content["validity"] == "valid"
     assert list(content["faults"].values()) == [0] * len(content["faults"])
+    said = {line.split("  ")[0]: line for line in capsys.readouterr().out.splitlines()}
+    table = (ROOT / "README.md").read_text(encoding="utf-8").split("```")[1].strip().splitlines()[1:-2]
+    shown = [line for line in table if line != "…"]
+    assert len(shown) == 6
+    for line in shown:
+        rows = [re.findall(r"[-+]?\d+\.?\d*", one) for one in (line, said[line.split("  ")[0]])]
+        readme, printed = (np.array(row, dtype=float) for row in rows)
+        np.testing.assert_allclose(readme, printed, rtol=1e-4, atol=2e-5)
