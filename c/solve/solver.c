@@ -396,7 +396,7 @@ static void embed(const double *local, const uint32_t *place, uint32_t count, do
 }
 
 /* The entries of x at these places, 0 where there is none. */
-static void gather(const double *x, const uint32_t *place, uint32_t count, double *out)
+static void entries_at(const double *x, const uint32_t *place, uint32_t count, double *out)
 {
     for (uint32_t a = 0; a < count; a++) {
         out[a] = (place[a] != ZYGOS_NO_PLACE) ? x[place[a]] : 0.0;
@@ -1045,7 +1045,7 @@ static double momentum_form(const zygos_solver_t *work, const zygos_momentum_gra
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     double local[ZYGOS_MAX_MOMENTUM];
     const uint32_t columns = momentum_places(work, place);
-    gather(work->solution, place, columns, local);
+    entries_at(work->solution, place, columns, local);
     return zygos_gram_form(rows->gram, local, columns);
 }
 
@@ -1070,7 +1070,7 @@ static double energy_left(const zygos_solver_t *work, uint32_t p, double *explai
         uint32_t place[ZYGOS_MAX_IMPULSE + 1];
         double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
         const uint32_t columns = motor_places(work, i, place);
-        gather(x, place, columns, local);
+        entries_at(x, place, columns, local);
         for (uint32_t b = arcs.first; (b < arcs.end) && (columns > 0); b++) {
             left -=
                 work->weight[i] * zygos_gram_form(zygos_motor_sums_at(&sums->motors, b)->joint[i].gram, local, columns);
@@ -1139,7 +1139,7 @@ static double motor_noise(const zygos_solver_t *work, uint32_t i, double *x)
     uint32_t place[ZYGOS_MAX_IMPULSE + 1];
     const uint32_t columns = motor_places(work, i, place);
     double sum = 0.0;
-    gather(work->solution, place, columns, x);
+    entries_at(work->solution, place, columns, x);
     for (uint32_t a = 0; a + 1u < columns; a++) {
         for (uint32_t b = 0; b <= a; b++) {
             sum += ((a == b) ? 1.0 : 2.0) * x[a] * x[b] * sums->noise[i][entry_at(a, b)];

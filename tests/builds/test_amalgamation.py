@@ -4,15 +4,27 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import pytest
-from build_support import tool
+from build_support import ROOMS, tool
 from golden_support import CONFIGURATIONS, EXPECTED, bits, flown
 
 from conftest import tool_module
 from zygos.native.flight import ffi
+
+
+def test_no_name_is_in_two_files() -> None:
+    """Functions and types that a file keeps for itself."""
+    own = re.compile(r"^static [^;={]*?\b(\w+)\(|^\} (\w+);|^typedef .*?\b(\w+);", re.M)
+    found = Counter(
+        name for room in ROOMS for name in {next(filter(None, names)) for names in own.findall(room.read_text())}
+    )
+    assert len(found) > 500
+    assert [name for name, files in found.items() if files > 1] == []
 
 
 @pytest.mark.slow
