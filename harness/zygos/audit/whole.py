@@ -274,8 +274,8 @@ def judge_law(case: Case, balance: Balance, skewed: dict[int, float]) -> dict[To
         pass  # means about an instant have one law only
     elif first != case.arm.torque_law or laws[second] / laws[first] < limits.LIKELY_LAW.value:
         case.notes.append(
-            f"torque_law: not decided ({second} closes the energy balance {laws[first] / laws[second]:.2f} times as "
-            f"well as {first})"
+            f"torque_law: not decided ({first} leaves {laws[first]:.4g} J of the energy balance, {second} "
+            f"{laws[second]:.4g} J); remedy: keep the law that the manual of the drives states"
         )
     return laws
 
