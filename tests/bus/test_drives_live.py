@@ -133,8 +133,11 @@ def test_listening_to_drives_is_converting_and_estimating(tmp_path: Path, capsys
         where = ("-i", "virtual", "-c", "test_drives", "--idle", 1)
         files = ("-o", tmp_path / "live.toml", "--log", tmp_path / "live.log", "--report", tmp_path / "live.html")
         assert run("listen", *named, *where, *files) == 0
-    said = capsys.readouterr()
-    assert "6/6 signals" in said.err and "22 of 22 parameters determined" in said.out
+    assert "22 of 22 parameters determined" in capsys.readouterr().out
+    answers = listen._Answers(arm, drives)
+    for message in messages:
+        assert answers.counts(message)
+    assert answers.line() == f"{len(messages):,} frames · 6/6 signals"
     heard = list(bus.read_messages(tmp_path / "live.log", []))
     assert len(heard) == 2 * len(messages) and all(one.is_fd for one in heard[1::2])
     assert (tmp_path / "live.html").read_text().startswith("<!doctype html>")
