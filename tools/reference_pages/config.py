@@ -29,29 +29,28 @@ USUAL = {
 """Defaults that are expressions, in words."""
 
 
-def _words(comment: str) -> str:
+def words_of(comment: str) -> str:
+    """The text of a comment of a header."""
     return " ".join(line.strip().lstrip("/").removeprefix("<").strip() for line in comment.splitlines()).strip()
 
 
-def _header() -> str:
-    return (HEADERS / "types.h").read_text()
-
-
-def fields(struct: str) -> tuple[str, list[tuple[str, str, str]]]:
-    """The comment of a struct, and of each field name, type and comment."""
-    for comment, body, name in STRUCT.findall(_header()):
+def fields(struct: str, header: str = "types.h") -> tuple[str, list[tuple[str, str, str]]]:
+    """The comment of a struct in a header, and of each field name, type and comment."""
+    for comment, body, name in STRUCT.findall((HEADERS / header).read_text()):
         if name == struct:
             found = FIELD.findall(re.sub(r"\n +(?=\w+\[)", " ", body))
-            members = [(field, kind + size, _words(words)) for kind, field, size, words in found if field != "reserved"]
-            return _words(comment), members
-    raise ValueError(f"types.h: {struct} not found; remedy: correct STRUCT")
+            members = [
+                (field, kind + size, words_of(words)) for kind, field, size, words in found if field != "reserved"
+            ]
+            return words_of(comment), members
+    raise ValueError(f"{header}: {struct} not found; remedy: correct STRUCT")
 
 
 def capacities() -> list[tuple[str, str, str, str]]:
     """Name, default, range and comment of each capacity."""
     return [
-        (name, USUAL.get(usual, usual), "; ".join(filter(None, (low, high))), _words(comment))
-        for comment, name, usual, low, high in CAPACITY.findall(_header())
+        (name, USUAL.get(usual, usual), "; ".join(filter(None, (low, high))), words_of(comment))
+        for comment, name, usual, low, high in CAPACITY.findall((HEADERS / "types.h").read_text())
     ]
 
 

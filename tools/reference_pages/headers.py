@@ -4,7 +4,7 @@
 import re
 
 from reference_pages.codes import HEADERS
-from reference_pages.config import FIELD, STRUCT, STRUCTS
+from reference_pages.config import STRUCT, fields, words_of
 from reference_pages.markdown import page, table
 
 PUBLIC = {
@@ -23,25 +23,26 @@ OPEN = (
 """Structs that a program fills or reads; the page of the configuration has those of the configuration."""
 
 
-def _words(comment: str) -> str:
-    said = " ".join(line.strip().lstrip("/").removeprefix("<").strip() for line in comment.splitlines()).strip()
-    return said.replace("*", "\\*").replace("<", "\\<")
+def _shown(words: str) -> str:
+    return words.replace("*", "\\*").replace("<", "\\<")
 
 
 def functions(header: str) -> list[tuple[str, str]]:
     """Comment and prototypes of the functions that a public header declares."""
-    return [(_words(comment), code.rstrip()) for comment, code in FUNCTION.findall((HEADERS / header).read_text())]
+    return [
+        (_shown(words_of(comment)), code.rstrip()) for comment, code in FUNCTION.findall((HEADERS / header).read_text())
+    ]
 
 
 def structs() -> list[tuple[str, str, str, list[tuple[str, str, str]]]]:
     """Name, header and comment of each struct that a program fills or reads, and its members."""
     found = []
     for header in PUBLIC:
-        for comment, body, name in STRUCT.findall((HEADERS / header).read_text()):
-            if name in OPEN and name not in STRUCTS:
-                members = FIELD.findall(re.sub(r"\n +(?=\w+\[)", " ", body))
-                said = [(f"`{field}`", f"`{kind}{size}`", _words(words)) for kind, field, size, words in members]
-                found.append((name, header, _words(comment), [one for one in said if one[0] != "`reserved`"]))
+        for _, _, name in STRUCT.findall((HEADERS / header).read_text()):
+            if name in OPEN:
+                comment, members = fields(name, header)
+                said = [(f"`{field}`", f"`{kind}`", _shown(words)) for field, kind, words in members]
+                found.append((name, header, _shown(comment), said))
     return found
 
 

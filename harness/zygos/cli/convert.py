@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,13 +14,13 @@ from rich.progress import Progress
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli.driven import Drive, Eds, Nodes, Urdf, arm_text_of, named_drives
+from zygos.cli.driven import Drive, Eds, Nodes, Urdf, arm_file_of, named_drives
 from zygos.cli.options import Json, Mcap, cuts, of_arm, of_map, of_runs
 from zygos.cli.shared import not_whole, read_run, warn
 from zygos.errors import Undecided, ZygosError
 from zygos.files.inputs import local
 from zygos.files.mcap import check_mcap_name, write_mcap
-from zygos.files.output import check_outputs, counted, is_dash, number, say, table, write_json, write_text
+from zygos.files.output import check_outputs, counted, is_dash, number, say, table, write_json
 from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
 from zygos.native.flight import MAX_REFUSED_SHARE, Flight, encode, receivable
@@ -324,8 +323,5 @@ def command(
     """
     check_mcap_name(mcap)
     drives = named_drives(drive, nodes, eds, arm, urdf)
-    with TemporaryDirectory() as folder:
-        if drives and urdf:
-            arm = Path(folder, "arm.toml")
-            write_text(arm, arm_text_of(urdf, drives, "convert"))
-        convert_run(source, dbc or [], map_file, arm, out, json, drives, mcap)
+    with arm_file_of(arm, urdf, drives, "convert") as described:
+        convert_run(source, dbc or [], map_file, described, out, json, drives, mcap)

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
 from zygos.errors import ZygosError
-from zygos.files.output import note
+from zygos.files.output import note, write_text
 from zygos.telemetry.drives import Drives, read_drives
 
 Drive = Annotated[
@@ -59,8 +61,20 @@ def named_drives(
     return drives
 
 
-def arm_text_of(urdf: Path, drives: Drives, command: str) -> str:
-    """The text of the arm file of a URDF with these drives. command: the one that makes it."""
+@contextmanager
+def arm_file_of(arm: Path | None, urdf: Path | None, drives: Drives | None, command: str) -> Iterator[Path | None]:
+    """The arm file that is given, or within the context one of the URDF with these drives. command: the one that makes
+    it."""
+    if drives is None or urdf is None:
+        yield arm
+        return
+    with TemporaryDirectory() as folder:
+        made = Path(folder, "arm.toml")
+        write_text(made, _arm_text(urdf, drives, command))
+        yield made
+
+
+def _arm_text(urdf: Path, drives: Drives, command: str) -> str:
     from zygos.urdf.answers import Answers  # noqa: PLC0415  (other arms need no extra)
     from zygos.urdf.chain import read_chain  # noqa: PLC0415
     from zygos.urdf.importing import arm_text  # noqa: PLC0415

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated
 
 import can
 import typer
@@ -21,16 +20,16 @@ from zygos.can import bus
 from zygos.can.dbc import arm_database
 from zygos.can.rounds import Telemetry
 from zygos.can.run import Run
-from zygos.cli.driven import Drive, Eds, Nodes, Urdf, arm_text_of, named_drives
+from zygos.cli.driven import Drive, Eds, Nodes, Urdf, arm_file_of, named_drives
 from zygos.cli.estimated import finish_estimate, finish_ground
 from zygos.cli.live import Screen, line_of, table_of
 from zygos.cli.onboard import report_refined
 from zygos.cli.options import Bitrate, ChannelOption, Details, Interface, Json, Out, Report, of_arm
 from zygos.cli.shared import Wanted, check_model_name, warn
 from zygos.errors import Undecided, ZygosError
-from zygos.estimation.estimate import Estimation, conclude
+from zygos.estimation.estimate import conclude
 from zygos.estimation.watch import Watch
-from zygos.files.output import check_outputs, counted, named, note, number, quiet, write_text
+from zygos.files.output import check_outputs, counted, named, note, number, quiet
 from zygos.files.signals import stop_signals
 from zygos.ground.estimate import estimate_ground
 from zygos.model.model import Model, load_model
@@ -72,7 +71,6 @@ class _Answers:
     def __init__(self, arm: Arm, drives: Drives) -> None:
         self.arm, self.mapping = arm, drives.mapping(arm)
         self.decoder = Decoder(drives.dictionary(), self.mapping)
-        self._began = time.monotonic()
 
     def counts(self, message: can.Message) -> bool:
         return self.decoder.take(message)
@@ -140,9 +138,9 @@ def listen_bus(
         heard = _Frames(arm, prior, trace=wanted.report is not None)
         failures = _hear(heard, source, out, log)
         refined = report_refined(heard.telemetry, arm, shown=not quiet(out, wanted.json))
-        _end(
-            conclude(heard.watch, prior=prior), out, {"bus": str(source), "door": "frames", "refined": refined}, wanted
-        )
+        heading = {"bus": str(source), "door": "frames", "refined": refined}
+        found = conclude(heard.watch, prior=prior)
+        finish_estimate(found, out, heading, wanted, partial(provenance, ["listen"], []))
     else:
         if not arm.grounded:
             raise ZygosError(
@@ -151,8 +149,8 @@ def listen_bus(
             )
         answers = _Answers(arm, drives)
         failures = _hear(answers, source, out, log)
-        found = estimate_ground([answers.run(str(source))], model=prior)
-        finish_ground(found, out, wanted, partial(provenance, ["listen"], []))
+        learned = estimate_ground([answers.run(str(source))], model=prior)
+        finish_ground(learned, out, wanted, partial(provenance, ["listen"], []))
     if failures:
         sys.exit(failures[0].exit_code)
 
@@ -219,10 +217,6 @@ def _kept(estimated: str, out: Path | None, log: Path | None) -> str:
     if out is not None:
         estimate += f" and goes to {named(out)}"
     return estimate + (f", and the frames to {named(log)}" if log is not None else "")
-
-
-def _end(found: Estimation, out: Path | None, heading: dict[str, Any], wanted: Wanted) -> None:
-    finish_estimate(found, out, heading, wanted, partial(provenance, ["listen"], []))
 
 
 def _check_files(out: Path | None, log: Path | None, wanted: Wanted, inputs: Sequence[Path | None]) -> None:
@@ -307,13 +301,8 @@ def command(
     drives = named_drives(drive, nodes, eds, arm, urdf)
     source = _Bus(interface, channel, bitrate, duration, idle)
     wanted = Wanted(json, report, details)
-    if drives and urdf:
-        with TemporaryDirectory() as folder:
-            file = Path(folder, "arm.toml")
-            write_text(file, arm_text_of(urdf, drives, "listen"))
-            known = load_arm(file)
-    elif arm is None:
-        raise ZygosError("the arm is not described; remedy: give its file with --arm, or with --drive its --urdf")
-    else:
-        known = load_arm(arm)
+    with arm_file_of(arm, urdf, drives, "listen") as described:
+        if described is None:
+            raise ZygosError("the arm is not described; remedy: give its file with --arm, or with --drive its --urdf")
+        known = load_arm(described)
     listen_bus(known, [arm, urdf], out, model, source, log, wanted, drives)
