@@ -173,7 +173,6 @@ class Coordinates:
     Cholesky factor of its second moment per mass is multiplied, and its mass centre in radii of gyration. They are
     followed by the lengths and the logarithms of Im, k and b. The standard deviation of the drawing is a factor of e,
     or a radius of gyration.
-    logarithms of Im, k and b. A drawing is taken to be right to a factor of e, or a radius of gyration.
     """
 
     def __init__(self, arm: Arm, drawing: Model, length_sigma: float) -> None:

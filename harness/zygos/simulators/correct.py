@@ -22,7 +22,7 @@ from zygos.gap.ground.predictions import Stage
 from zygos.ground.motion import TorqueRows
 from zygos.model.model import Model
 from zygos.simulators.held import kept_by
-from zygos.simulators.robot import Hinge, Lump, Owner, Robot, armatures, unreflected
+from zygos.simulators.robot import Hinge, Lump, Owner, Robot, armatures, body_of, unreflected
 
 Array = NDArray[np.float64]
 
@@ -72,11 +72,7 @@ def corrected(robot: Robot, arm: Arm, stage: Stage, rows: Sequence[TorqueRows]) 
     held, lost = kept_by(robot.format, arm, stage.effects)
     if not arm.grounded:
         return _with_springs(robot, arm, stage, held, lost)
-    rotors = robot.rotors(arm)
-    if robot.format == "MJCF" and arm.torque_at == "rotor":
-        for k, parameter in enumerate(arm.parameters):
-            if parameter.symbol == "Im" and parameter.joint is not None:
-                rotors[parameter.joint] = max(float(stage.values[k]), 0.0)
+    rotors, armature = _rotors(robot, arm, stage.values)
     bodies = _bodies(robot, arm, rotors, robot.hinges)
 
     def base(own: Array) -> Array:
@@ -84,7 +80,6 @@ def corrected(robot: Robot, arm: Arm, stage: Stage, rows: Sequence[TorqueRows]) 
 
     # an arm whose base is fixed is linear in the parameters of its bodies
     lumps, values, left = _nearest(robot.owners, base, stage.values, _root(rows), linear=True)
-    armature = armatures(rotors, arm) if arm.torque_at == "rotor" else np.array([h.armature for h in robot.hinges])
     hinges = tuple(_hinges(robot, in_joints(arm, held), armature.tolist()))
     owners = tuple(replace(owner, own=own) for owner, own in zip(robot.owners, lumps, strict=True))
     wanted = values if robot.format == "URDF" else stage.values
@@ -137,6 +132,19 @@ def in_joints(arm: Arm, held: Sequence[Effect]) -> InJoints:
     return out
 
 
+def _rotors(robot: Robot, arm: Arm, values: Array) -> tuple[Array, Array]:
+    """(N,) inertias of the rotors with these base parameters (p,), and (N,) armatures of the file, which stay where
+    torques are measured behind the gear."""
+    rotors = robot.rotors(arm)
+    if arm.torque_at == "joint":
+        return rotors, np.array([hinge.armature for hinge in robot.hinges])
+    if robot.format == "MJCF":
+        for parameter, value in zip(arm.parameters, values.tolist(), strict=True):
+            if parameter.symbol == "Im" and parameter.joint is not None:
+                rotors[parameter.joint] = max(value, 0.0)
+    return rotors, armatures(rotors, arm)
+
+
 def _hinges(robot: Robot, drives: InJoints, armature: Sequence[float]) -> Iterator[Hinge]:
     """The joints with these effects, and with these armatures (N,)."""
     for j, hinge in enumerate(robot.hinges):
@@ -153,11 +161,9 @@ def _with_springs(
 ) -> Corrected:
     """The robot of an arm that floats or has flexible joints, whose bodies have the parameters of a model."""
     given = dict(zip(arm.parameter_names, stage.values.tolist(), strict=True))
-    rotors, drives = robot.rotors(arm), in_joints(arm, held)
-    for j in range(arm.n):
-        rotors[j] = max(given.get(f"Im{j + 1}", rotors[j]), 0.0)
-    hinges = []
-    for j, hinge in enumerate(_hinges(robot, drives, armatures(rotors, arm).tolist())):
+    rotors, armature = _rotors(robot, arm, stage.values)
+    drives, hinges = in_joints(arm, held), []
+    for j, hinge in enumerate(_hinges(robot, drives, armature.tolist())):
         if (spring := hinge.spring) is None:
             hinges.append(hinge)
             continue
@@ -286,14 +292,8 @@ def _bodies(robot: Robot, arm: Arm, rotors: Array, hinges: Sequence[Hinge]) -> C
         for body, standard, frame in zip(
             drawing.bodies[-count:], unreflected(segments, rotors, arm, hinges), frames, strict=True
         ):
-            lump = Lump.of(standard).in_frame(*frame)
-            x, y, z = (float(v) for v in lump.centre)
-            inertia = tuple(
-                replace(entry, value=float(v)) for entry, v in zip(body.inertia, lump.tensor[_UPPER], strict=True)
-            )
-            bodies.append(
-                replace(body, mass=replace(body.mass, value=lump.mass), origin_xyz=(x, y, z), inertia=inertia)  # type: ignore[arg-type]
-            )
+            moved = body_of(body.name, Lump.of(standard).in_frame(*frame))
+            bodies.append(replace(moved, joint_xyz=body.joint_xyz))
         return Model(drawing.name, tuple(bodies), drives)
 
     return model

@@ -120,13 +120,6 @@ def read_mjcf(path: Path, joints: Sequence[str] | int | None) -> Robot:
     document = read_document(path, includes=True)
     check_compiler(document)
     tree = compiled(path)
-    return robot_of(path, tree, joints, document)
-
-
-def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document: Document | None = None) -> Robot:
-    """The serial arm of a compiled file; document: its elements, each of which must have a place to be corrected at.
-
-    Errors: as `read_mjcf`."""
     mujoco = load_mujoco()
     data = mujoco.MjData(tree)
     mujoco.mj_kinematics(tree, data)
@@ -139,8 +132,7 @@ def robot_of(path: Path, tree: Any, joints: Sequence[str] | int | None, document
     root = _root(path, tree, chosen[0])
     springs = springs_of(path, mujoco, tree, chosen)
     _check(path, mujoco, tree, chosen, [t for one in springs.values() for t in (one.tendon, one.second)])
-    if document is not None:
-        bodies_of(document, tree)
+    bodies_of(document, tree)
     view = View(tree, data, root)
     carriers = [int(tree.jnt_bodyid[j]) for j in chosen]
     rotors = {int(tree.jnt_bodyid[one.number]) for one in springs.values()}

@@ -314,7 +314,7 @@ class Robot:
         bodies = [
             *(bodies if self.base is None else []),
             *(
-                _body(owner.name, Lump.of(own).in_frame(*frame))
+                body_of(owner.name, Lump.of(own).in_frame(*frame))
                 for owner, own, frame in zip(self.bodies, standard, frames[-len(standard) :], strict=True)
             ),
         ]
@@ -449,7 +449,8 @@ def _six(tensor: Array) -> tuple[Quantity, Quantity, Quantity, Quantity, Quantit
     return ixx, ixy, ixz, iyy, iyz, izz
 
 
-def _body(name: str, lump: Lump) -> Body:
+def body_of(name: str, lump: Lump) -> Body:
+    """The body of a model with this mass, mass centre and inertia."""
     x, y, z = (float(value) for value in lump.centre)
     return Body(name, Quantity(lump.mass, 0.0, "CAD", "kg"), (x, y, z), _six(lump.tensor))
 
