@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 from collections import Counter
 from pathlib import Path
 
 import pytest
-from build_support import ROOMS, tool
+from build_support import ROOMS, run, tool
 from golden_support import CONFIGURATIONS, EXPECTED, bits, flown
 
 from conftest import tool_module
@@ -34,7 +33,7 @@ def test_one_file_gives_the_same_bits(compiler: str, tmp_path: Path) -> None:
     build = tool_module("build_native")
     flags = [*build.FLAGS.split(), "-O1", "-Werror", f"-I{tmp_path}", f"-I{build.HOST}", "-shared"]
     sources = [str(tmp_path / "zygos.c"), str(build.HOST / "batch.c")]
-    subprocess.run([tool(compiler), *flags, *sources, "-lm", "-o", str(tmp_path / "libzygos.so")], check=True)
+    run([tool(compiler), *flags, *sources, "-lm", "-o", str(tmp_path / "libzygos.so")], tmp_path)
     library = ffi.dlopen(str(tmp_path / "libzygos.so"))
     expected = json.loads(EXPECTED.read_text())
     for name in CONFIGURATIONS:

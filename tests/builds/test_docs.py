@@ -16,7 +16,7 @@ from build_support import tool
 from conftest import ROOT
 
 DOCS = ROOT / "docs"
-TUTORIALS = sorted(DOCS.glob("tutorial-*.md"))
+TUTORIALS = sorted(page for page in DOCS.glob("tutorial-*.md") if "```sh\n" in page.read_text(encoding="utf-8"))
 
 
 def built(source: Path, out: Path) -> subprocess.CompletedProcess[str]:

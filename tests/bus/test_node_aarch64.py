@@ -53,16 +53,15 @@ def node(emulator: list[str]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log]:
+def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log]:
     """A configuration, and 30 s of frames of its arm."""
-    example = ROOT / "examples" / request.param
+    example = ROOT / "examples" / "spatial"
     arm, model = load_arm(example / "arm.toml"), load_model(example / "model.toml")
     scenario = load_scenario(example / "scenario.toml")
     run_of = trajectory_of(arm, model, scenario, seeds=[0], noise=True, duration_s=30.0, rtol=1e-8)
     return compiled(tmp_path_factory.mktemp("onboard"), example / "arm.toml"), encode(arm, run_of.cycles(0))
 
 
-@pytest.mark.parametrize("case", ["spatial"], indirect=True)
 def test_the_same_frames_give_the_same_bits(
     case: tuple[Path, Log], node: Path, emulator: list[str], tmp_path: Path
 ) -> None:

@@ -106,7 +106,8 @@ def test_what_stands_in_the_way_of_the_lock_is_said(config: Path, tmp_path: Path
 
 def test_a_closed_terminal_ends_it_in_order(config: Path, frames: Log, syncs: Log, tmp_path: Path) -> None:
     state = tmp_path / "state.zyg"
-    with Node("--config", config, "--state", state) as node:
+    # the tests themselves may run under nohup
+    with Node("--config", config, "--state", state, through=("env", "--default-signal=HUP")) as node:
         node.send(frames[: syncs[30]])
         node.process.send_signal(signal.SIGHUP)
         code, counters, said = node.wait()

@@ -75,6 +75,14 @@ def as_number(text: str) -> float:
     return float(plain.replace(",", "").replace("·10", "e"))
 
 
+def check_row(one: Any, row: list[str], at: int, said: str, word: str = "") -> None:
+    """Page and console have the value and the interval of an entry of the JSON. at: the column of the value."""
+    assert as_number(row[at]) == pytest.approx(one["value"], abs=0.06 * one["half95"])
+    assert as_number(row[at + 1]) == pytest.approx(one["half95"], rel=0.06)
+    line = next(line for line in said.splitlines() if line.startswith(f"{one['name']} ") and word in line)
+    assert [cell for cell in row if cell] == re.split(r"  +", line.strip())
+
+
 @pytest.mark.slow(but=["paper"])
 @pytest.mark.parametrize("name", ["paper", "lively", "gap", "ground"])
 def test_an_estimate_has_one_value_and_one_interval(
@@ -91,10 +99,7 @@ def test_an_estimate_has_one_value_and_one_interval(
     for k, (one, row) in enumerate(zip(content["parameters"], rows_of(page, "parameters"), strict=True)):
         assert (one["name"], one["value"], one["half95"]) == (found.names[k], found.value[k], found.half95[k])
         assert values[one["name"]] == pytest.approx(one["value"], rel=1e-12)
-        assert as_number(row[2]) == pytest.approx(one["value"], abs=0.06 * one["half95"])
-        assert as_number(row[3]) == pytest.approx(one["half95"], rel=0.06)
-        line = next(line for line in said.splitlines() if line.startswith(f"{one['name']} "))
-        assert [cell for cell in row if cell] == re.split(r"  +", line.strip())
+        check_row(one, row, 2, said)
 
 
 @pytest.mark.slow
@@ -111,10 +116,7 @@ def test_a_refined_estimate_has_one_value_and_one_interval(tmp_path: Path, capsy
         assert (one["source"], one["value"]) == ("refined", pytest.approx(value, abs=1e-3 * sigma))
         assert one["half95"] == pytest.approx(1.96 * sigma, rel=1e-3)
         assert written[one["name"]].value == pytest.approx(one["value"], rel=1e-12)
-        assert as_number(row[1]) == pytest.approx(one["value"], abs=0.06 * one["half95"])
-        assert as_number(row[2]) == pytest.approx(one["half95"], rel=0.06)
-        line = next(line for line in said.splitlines() if line.startswith(f"{one['name']} ") and "refined" in line)
-        assert [cell for cell in row if cell] == re.split(r"  +", line.strip())
+        check_row(one, row, 1, said, "refined")
 
 
 @pytest.mark.slow(only=["ground"])
