@@ -746,7 +746,8 @@ def test_the_demo_says_when_frames_were_lost(tmp_path: Path, monkeypatch: pytest
 def test_the_demo_says_what_its_estimate_is_worth(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And README shows some of it."""
+    """And README shows some of it, as a terminal of 100 columns does."""
+    monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(demo, "choose_bus", lambda: ("virtual", "test_demo"))
     demo.run_demo(tmp_path / "demo")

@@ -198,7 +198,7 @@ def test_a_late_torque_gives_the_true_values_with_its_delay(
     source = folder / "torque_20ms_late.npz"
     assert convert(folder, source, map_file, "torque_late_arm")[0] == 0
     out = folder / source.stem / "run.npz"
-    assert run("estimate", "--energy", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    assert run("estimate", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     capsys.readouterr()
     content = json.loads((tmp_path / "m.json").read_text())
     found = {one["name"]: (one["value"], one["half95"]) for one in content["parameters"]}

@@ -18,9 +18,9 @@ from zygos.telemetry.drives import Drives, read_drives
 Drive = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME[:MOTOR,...]",
+        metavar="DRIVES",
         help="Drives whose frames zygos knows: damiao, cubemars, robstride, odrive, moteus or cia402, with the name of "
-        "the motor, or of the motor of each node (docs/drives.md).",
+        "the motor, or of the motor of each node, behind a colon and with commas between.",
     ),
 ]
 Nodes = Annotated[
