@@ -113,7 +113,10 @@ def bad(text: str) -> Text:
 
 def _available_width() -> int:
     """Width that a table may take, in characters: that of the terminal, or the value of COLUMNS."""
-    return console.width if console.is_terminal or os.environ.get("COLUMNS", "").isdigit() else _WIDE
+    stated = os.environ.get("COLUMNS", "")
+    if stated.isdigit():
+        return int(stated)
+    return console.width if console.is_terminal else _WIDE
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str | Text]], title: str | None = None) -> None:
