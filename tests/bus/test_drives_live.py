@@ -196,10 +196,8 @@ def test_simulating_refused(
 @pytest.mark.slow
 def test_seven_drives_at_500_hz_on_can_fd_leave_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Hearing, decoding and recording an answer takes at most half of the time in which the next one comes."""
-    t = np.arange(0.0, 6.0, 0.0005)
-    q = 0.5 * np.sin(1.5 * t[:, None] + np.arange(7))
     sent, heard = tmp_path / "sent.log", tmp_path / "heard.log"
-    openarm.candump(openarm.Flight(t, q, np.zeros_like(q), np.zeros_like(q)), sent, seed=0)
+    openarm.candump(openarm.wave(6.0), sent, seed=0)
     hear, spent_s = listen._hear, [0.0]
 
     def measured(*arguments: Any) -> Any:

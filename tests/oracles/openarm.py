@@ -88,6 +88,13 @@ def fly(urdf: Path, t: Array, motion: Array) -> Flight:
     return Flight(np.arange(len(q)) * _STEP_S, q, qd, tau)
 
 
+def wave(seconds: float) -> Flight:
+    """A smooth motion that no torque explains, for those who only count frames."""
+    t = np.arange(0.0, seconds, _STEP_S)
+    q = 0.5 * np.sin(1.5 * t[:, None] + np.arange(7))
+    return Flight(t, q, np.zeros_like(q), np.zeros_like(q))
+
+
 def candump(flight: Flight, path: Path, seed: int) -> None:
     """Write what `candump -L` records of the answers of the drives. seed: of noise, delays and jitter."""
     draw = np.random.default_rng(seed)

@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar
 from zygos.arm import Arm
 from zygos.audit.means import Array
 from zygos.audit.units import FACTORS, scales
-from zygos.balances.joint import in_order, joint_columns, joint_rows
+from zygos.balances.joint import in_order, increment_instants, joint_columns, joint_rows
 from zygos.balances.state import State
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import Samples, calibrate
@@ -30,6 +30,8 @@ from zygos.runs.smoother import Smoothed, smooth
 
 INCREMENT_S = 0.2
 """Length of the increments, s."""
+_HALF_STEPS = 10
+"""Smallest number of steps of half an increment between instants at which columns are computed."""
 MOST_CYCLES = 20_000
 """Largest number of cycles that are compared."""
 _PIECE = 4_000
@@ -295,14 +297,13 @@ class RigidLaw:
         friction = _friction(arm, smoothed)
         blocks: list[Array] = []
         for piece in _pieces(smoothed):
-            rows = _columns(arm, samples, _part(smoothed, piece), friction[piece])
+            rows = _columns(arm, samples, smoothed.part(piece), friction[piece])
             if rows is not None:
                 blocks.append(rows)
         if not blocks:
             return ()
-        state = State.smoothed(
-            arm, _part(smoothed, np.unique(np.linspace(0, len(smoothed.index) - 1, _STATES, dtype=int)))
-        )
+        some = np.unique(np.linspace(0, len(smoothed.index) - 1, _STATES, dtype=int))
+        state = State.smoothed(arm, smoothed.part(some))
         columns = joint_columns(arm, state)
         momentum = in_order(arm, columns.momentum, columns.rotor_momentum)
         self._kinetic[angle] = np.einsum("mj,mjp->p", state.qd, momentum)
@@ -409,14 +410,12 @@ def _pieces(smoothed: Smoothed) -> Iterator[NDArray[np.int64]]:
         yield from np.array_split(of, max(1, math.ceil(len(of) / _PIECE)))
 
 
-def _part(smoothed: Smoothed, at: NDArray[np.int64]) -> Smoothed:
-    return Smoothed(*(getattr(smoothed, name)[at] for name in Smoothed.__dataclass_fields__))
-
-
 def _columns(arm: Arm, samples: Samples, smoothed: Smoothed, friction: Array) -> Array | None:
     """(m, N, p + 3N + N) columns of the increments of a piece, and the impulses of all torque readings; None for a
     piece that is too short."""
-    rows = joint_rows(arm, samples, smoothed, INCREMENT_S)
+    half = increment_instants(arm, INCREMENT_S) // 2
+    every = max(k for k in range(1, half + 1) if half % k == 0 and (k == 1 or half >= _HALF_STEPS * k))
+    rows = joint_rows(arm, samples, smoothed, INCREMENT_S, every=every)
     if rows.count == 0:
         return None
     n, h = arm.n, arm.period_s

@@ -16,13 +16,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.arcs import FILL_INSTANTS
 from zygos.balances.effects import Signals, joint_column
 from zygos.balances.kinematics import Posture, body_rates, crossed, planar_rates, posture
-from zygos.balances.quadrature import FromOrigin, integral
+from zygos.balances.quadrature import FromOrigin, step_integrals
 from zygos.balances.state import State
 from zygos.effects import Effect, estimated
 from zygos.runs.samples import Samples
@@ -114,16 +115,18 @@ def _spatial(arm: Arm, state: State, places: Posture | None, forces: bool = True
 
 def _products(arm: Arm, change: Floats, rate: Floats) -> Floats:
     """What changes (..., N, V, 3) of the rate vectors (..., V, 3) make of the kinetic columns, (..., N, K)."""
-    first, second = np.triu_indices(rate.shape[-2])
+    count = rate.shape[-2]
+    first, second = np.triu_indices(count)
     dots = change @ np.swapaxes(rate, -1, -2)[..., None, :, :]
-    both = dots[..., first, second] + dots[..., second, first]
-    both = both * np.where(first == second, 0.5, 1.0)
     kept = np.ones(len(first), dtype=np.bool_) if arm.free else (first != second) | (first > 1)
     if not arm.free:
         # as in `spatial_columns`: the first body turns about its axis only
         kept &= (first > 0) | (second != 1)
         kept[0] = True
-    return np.asarray(both[..., kept], dtype=np.float64)
+    first, second = first[kept], second[kept]
+    dots = dots.reshape(*dots.shape[:-2], count * count)
+    both = np.take(dots, first * count + second, axis=-1) + np.take(dots, second * count + first, axis=-1)
+    return np.asarray(both * np.where(first == second, 0.5, 1.0), dtype=np.float64)
 
 
 def _planar(arm: Arm, state: State) -> tuple[Floats, Floats]:
@@ -209,28 +212,50 @@ def joint_rows(
     increment_s: float,
     effects: Sequence[Effect] = (),
     columns: JointColumns | None = None,
+    every: int = 1,
 ) -> JointRows:
     """Rows of a whole record over increments of that length, half overlapping. columns: `joint_columns` at the smoothed
-    instants, where they are known. Errors: as `estimated`."""
-    steps = increment_instants(arm, increment_s)
-    state = State.smoothed(arm, smoothed)
+    instants, where they are known; otherwise those of parameters are computed at every so-many-th instant, a divisor of
+    half the steps of an increment. Errors: as `estimated`."""
+    steps = increment_instants(arm, increment_s) // every
+    instants, begins, count = [], [], 0
+    for number in np.unique(smoothed.segment):
+        of = np.flatnonzero(smoothed.segment == number)[::every]
+        places = np.arange(count, count + len(of))[FILL_INSTANTS:]
+        begins.append(places[: max(0, len(places) - steps) : steps // 2])
+        instants.append(of)
+        count += len(of)
+    at, place = (np.concatenate(part or [np.zeros(0, dtype=np.int64)]) for part in (instants, begins))
+    begin, end = at[place], at[place + steps]
+    state = State.smoothed(arm, smoothed if every == 1 else smoothed.part(at))
     columns = joint_columns(arm, state) if columns is None else columns
+
+    def integrated(g: Floats) -> Floats:
+        return np.concatenate([_increments(g, of, steps, every * arm.period_s) for of in begins] or [g[:0]])
+
+    def grown(g: Floats) -> Floats:
+        return np.asarray(g[place + steps] - g[place])
+
+    deflection = state.theta - state.q
+    single = np.eye(arm.n)
+    z = in_order(
+        arm,
+        grown(columns.momentum) - integrated(columns.force),
+        grown(columns.rotor_momentum) - integrated(columns.rotor_force),
+        {"k": -integrated(deflection)[..., None] * single, "b": -grown(deflection)[..., None] * single},
+    )
     acting = estimated(arm, effects)
     before, after = samples.tau[smoothed.index - 1], samples.tau[smoothed.index]
-    z = _running(arm, state, columns, smoothed.segment)
-    own = [[_effect(arm, state, before, after, e, j, smoothed.segment) for e in acting] for j in range(arm.n)]
-    z = np.concatenate([z, np.moveaxis(np.array(own).reshape(arm.n, len(acting), len(before)), -1, 0)], axis=-1)
-    w = _impulse(arm, before, after, smoothed.segment)
-    begins: list[NDArray[np.int64]] = []
-    for number in np.unique(smoothed.segment):
-        of = np.flatnonzero(smoothed.segment == number)[FILL_INSTANTS:]
-        begins.append(of[: max(0, len(of) - steps) : steps // 2])
-    begin = np.concatenate(begins) if begins else np.zeros(0, dtype=np.int64)
-    end = begin + steps
+    if acting:
+        state = State.smoothed(arm, smoothed)
+        own = [[_effect(arm, state, before, after, e, j, smoothed.segment) for e in acting] for j in range(arm.n)]
+        running = np.moveaxis(np.array(own), -1, 0)
+        z = np.concatenate([z, running[end] - running[begin]], axis=-1)
+    impulse = _impulse(arm, before, after, smoothed.segment)
     refused = np.concatenate([[0], np.cumsum(~smoothed.accepted)])
     return JointRows(
-        z=z[end] - z[begin],
-        w=w[end] - w[begin],
+        z=z,
+        w=impulse[end] - impulse[begin],
         begin=begin,
         end=end,
         accepted=refused[end + 1] == refused[begin],
@@ -238,23 +263,14 @@ def joint_rows(
     )
 
 
-def _running(arm: Arm, state: State, columns: JointColumns, segment: NDArray[np.int64]) -> Floats:
-    """(m, N, p) momentum less the integral of the force, from some constant on in each segment."""
-    bodies = columns.momentum - _integrals(arm, columns.force, segment)
-    rotors = columns.rotor_momentum - _integrals(arm, columns.rotor_force, segment)
-    deflection = state.theta - state.q
-    wound = _integrals(arm, deflection, segment)
-    single = np.eye(arm.n)
-    return in_order(arm, bodies, rotors, {"k": -wound[..., None] * single, "b": -deflection[..., None] * single})
-
-
-def _integrals(arm: Arm, g: Floats, segment: NDArray[np.int64]) -> Floats:
-    """Running integral along the first axis, which begins at 0 with each segment."""
-    out = np.zeros_like(g)
-    for number in np.unique(segment):
-        of = segment == number
-        out[of] = integral(g[of], arm.period_s, axis=0) if np.count_nonzero(of) > FILL_INSTANTS else 0.0
-    return out
+def _increments(g: Floats, begin: NDArray[np.int64], steps: int, period_s: float) -> Floats:
+    """(n, ...) integrals of g (m, ...) over so many steps from each instant of begin (n,), at even intervals, by
+    `step_integrals`, whose first step also needs the two instants before it."""
+    if len(begin) == 0:
+        return g[:0]
+    weights = step_integrals(np.eye(steps + 3), period_s)[:, 2:].sum(axis=1)
+    windows = sliding_window_view(g.reshape(len(g), -1), steps + 3, axis=0)
+    return (windows[begin[0] - 2 : begin[-1] - 1 : steps // 2] @ weights).reshape(len(begin), *g.shape[1:])
 
 
 def _impulse(arm: Arm, before: Floats, after: Floats, segment: NDArray[np.int64]) -> Floats:

@@ -51,6 +51,10 @@ class Smoothed:
     accepted: NDArray[np.bool_]
     bandwidth: Floats
 
+    def part(self, at: NDArray[np.int64]) -> Smoothed:
+        """The instants at these positions."""
+        return Smoothed(*(getattr(self, name)[at] for name in self.__dataclass_fields__))
+
 
 @cache
 def coefficients(points: int, order: int, offset: float = 0.0, derivative: int = 0) -> Floats:
