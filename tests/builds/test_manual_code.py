@@ -104,7 +104,7 @@ def flown(program: Path, bus: Path, *words: int) -> dict[str, int]:
 )
 def test_the_program_of_the_readme_has_no_data_race(memory: str, flags: tuple[str, ...], bus: Path) -> None:
     """An interrupt thread, the task and the background, under ThreadSanitizer."""
-    frames = int(os.environ.get("ZYGOS_RACE_FRAMES", "60000"))
+    frames = int(os.environ.get("ZYGOS_RACE_FRAMES", "30000"))
     found = flown(contexts(memory, "thread", "-O2", *flags), bus, frames)
     assert found["cycles"] > frames / 7.1  # seven frames a cycle, and FTIME
     assert found["values"] > 0

@@ -23,7 +23,7 @@ def flown(folder: Path, seed: int, tries: int) -> dict[str, int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tries", [6000])
+@pytest.mark.parametrize("tries", [3000])
 def test_no_change_of_its_memory_makes_the_refinement_crash_or_hang(tmp_path: Path, tries: int) -> None:
     """One bit, the same bit of two words, some words and all of it, between any two slices; wild arguments before."""
     found = flown(tmp_path, tries, tries)

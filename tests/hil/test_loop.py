@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from vcan_support import candump
+from vcan_support import GUEST, candump
 
 from conftest import ROOT
 from zygos.arm import load_arm
@@ -32,9 +32,6 @@ CYCLES = 6000
 BAND = 2.5
 """Largest ratio of the factor that was promised to that of the next run, either way: how much a wrong model mispredicts
 depends on the motion."""
-
-
-GUEST = "User Mode Linux" in Path("/proc/cpuinfo").read_text(encoding="ascii")
 
 
 @pytest.mark.skipif(

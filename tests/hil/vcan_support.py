@@ -13,6 +13,8 @@ from pathlib import Path
 from zygos.can.vcan import kernel_counts
 
 CHANNEL = os.environ.get("ZYGOS_VCAN_IFS", "vcan0").split()[0]
+GUEST = "User Mode Linux" in Path("/proc/cpuinfo").read_text(encoding="ascii")
+"""Whether the kernel is a guest, whose system calls take many times as long."""
 ROOM = "400000000"
 """Bytes of what candump has yet to take; one processor has the sender, the device and candump to run."""
 

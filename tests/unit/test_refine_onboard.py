@@ -212,7 +212,7 @@ def test_a_start_that_is_off_beside_torques_noisier_than_declared_does_no_harm()
     """Three joints in space: the values of a model that are 4.3 % off, and a noise of 0.5 % that nobody declared. Some
     windows look right by chance; no value is published that is off by more than 5 sigmas and 0.5 %."""
     flying, case = Case("spatial", noise=0.005), Case("spatial", noise=0.005, declared=0.0)
-    cycles = selected(flown(flying, 0), slice(0, 40_000))
+    cycles = flown(flying, 0, 60.0)
     truth = plant("spatial").base_values(case.arm)
     prior = truth * (1.0 + 0.043 * np.random.default_rng(0).standard_normal(len(truth)))
     flight, task = Flight(case.arm), OnboardRefiner(case.arm, Onboard(every=1, terms=6))
@@ -227,7 +227,7 @@ def test_a_start_that_is_off_beside_torques_noisier_than_declared_does_no_harm()
         judged += task.native.windows > 4
         error = np.abs(answer.value - truth)
         assert not (answer.published and np.any((error > 5.0 * answer.sigma) & (error > 0.005 * sizes_of(task))))
-    assert judged > 40
+    assert judged > 20
 
 
 def test_published_values_are_better_than_the_estimate() -> None:

@@ -270,7 +270,8 @@ def _increments(g: Floats, begin: NDArray[np.int64], steps: int, period_s: float
         return g[:0]
     weights = step_integrals(np.eye(steps + 3), period_s)[:, 2:].sum(axis=1)
     windows = sliding_window_view(g.reshape(len(g), -1), steps + 3, axis=0)
-    return (windows[begin[0] - 2 : begin[-1] - 1 : steps // 2] @ weights).reshape(len(begin), *g.shape[1:])
+    grown = windows[begin[0] - 2 : begin[-1] - 1 : steps // 2] @ weights
+    return np.asarray(grown, dtype=np.float64).reshape(len(begin), *g.shape[1:])
 
 
 def _impulse(arm: Arm, before: Floats, after: Floats, segment: NDArray[np.int64]) -> Floats:

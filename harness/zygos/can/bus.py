@@ -367,7 +367,9 @@ def _burst(bus: can.BusABC, timeout: float) -> Iterator[can.Message]:
     if first is None:
         return
     yield first
-    for _ in range(_BURST if isinstance(bus, SocketcanBus) else 0):
+    if not isinstance(bus, SocketcanBus):
+        return
+    for _ in range(_BURST):
         try:
             message = capture_message(bus.socket)
         except can.CanOperationError as error:
