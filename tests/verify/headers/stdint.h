@@ -8,6 +8,7 @@ typedef int int32_t;
 typedef unsigned int uint32_t;
 typedef long int64_t;
 typedef unsigned long uint64_t;
+typedef unsigned long uintptr_t;
 #define UINT32_MAX 4294967295u
 #define INT32_MAX 2147483647
 #define INT32_MIN (-INT32_MAX - 1)
