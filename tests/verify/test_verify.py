@@ -88,6 +88,13 @@ def test_every_mutant_is_in_one_library_and_the_number_selects_it(tmp_path: Path
     )
 
 
+def test_the_parser_reads_the_public_header() -> None:
+    need(shutil.which("cc"), "a C compiler")
+    path = ROOT / "c" / "loop" / "attach.c"
+    functions = [node.decl.name for node in mutants.parsed(path).ext if type(node).__name__ == "FuncDef"]
+    assert functions[-1] == "zygos_refine"
+
+
 def test_a_mutant_is_named_by_its_function_and_not_by_its_line(tmp_path: Path) -> None:
     source = tmp_path / "small.c"
     source.write_text(SMALL)
