@@ -202,6 +202,10 @@ def test_the_page_has_the_profiles() -> None:
         assert f"| `{name}` | {profile['title']} | {profile['identifier']} | {motors} | {profile['torque']} |" in page
 
 
+def test_nodes_may_count_down() -> None:
+    assert read_drives("odrive", "6-4,1").nodes == (6, 5, 4, 1)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -211,6 +215,7 @@ def test_the_page_has_the_profiles() -> None:
         (("--drive", "damiao:DM9999", "--nodes", "1-7"), 'no motor "DM9999"'),
         (("--drive", "damiao:DM4310,DM4340", "--nodes", "1-7"), "2 motors for 7 nodes"),
         (("--drive", "damiao", "--nodes", "7-1x"), "not a list of numbers"),
+        (("--drive", "damiao", "--nodes", "1-99999999999"), "not a list of numbers"),
         (("--drive", "damiao", "--nodes", "1,1"), "nodes must differ"),
         (("--drive", "damiao:DM4310", "--nodes", "1-99"), "16 is no node"),
         (("--drive", "odrive:S1", "--nodes", "0"), "needs no motors"),

@@ -7,6 +7,7 @@ A profile is data, `zygos/drives/NAME.toml` and `NAME.dbc`; its frames are decod
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Sequence
 from copy import deepcopy
@@ -198,13 +199,14 @@ def read_drives(drive: str, nodes: str, eds: Sequence[Path] = ()) -> Drives:
 
 
 def _nodes(text: str) -> tuple[int, ...]:
-    """Numbers and ranges with commas between them. Errors: ZygosError."""
+    """Numbers and ranges, upwards or downwards, with commas between them. Errors: ZygosError."""
     found: list[int] = []
     for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()):
+        span = re.fullmatch(r"([0-9]{1,5})(?:-([0-9]{1,5}))?", part.strip())
+        if span is None:
             raise ZygosError(f"--nodes {text}: not a list of numbers; remedy: write for instance 1-7, or 1,2,5")
-        found += range(int(first), int(last or first) + 1)
+        begin, end = int(span[1]), int(span[2] or span[1])
+        found += range(begin, end + 1) if begin <= end else range(begin, end - 1, -1)
     if not found or len(set(found)) != len(found):
         raise ZygosError(f"--nodes {text}: nodes must differ; remedy: write for instance 1-7, or 1,2,5")
     return tuple(found)
