@@ -133,7 +133,7 @@ def test_listening_to_drives_is_converting_and_estimating(tmp_path: Path, capsys
         files = ("-o", tmp_path / "live.toml", "--log", tmp_path / "live.log", "--report", tmp_path / "live.html")
         assert run("listen", *named, *where, *files) == 0
     assert "22 of 22 parameters determined" in capsys.readouterr().out
-    answers = listen._Answers(arm, drives)
+    answers = listen._Answers(arm, drives, scatter=False)
     for message in messages:
         assert answers.counts(message)
     assert answers.line() == f"{len(messages):,} frames · 6/6 signals"

@@ -273,6 +273,8 @@ def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycle
         factor = float(said.removeprefix("noisier than declared by a factor of "))
         assert factor == pytest.approx(12 * sigma / np.hypot(sigma, ANGLE_STEP / np.sqrt(12)), rel=0.1)
         assert audit(arm, noisy("theta", 1, 1.5 * sigma)(cycles)).ok
+        worse = audit(arm, both(noisy("theta", 1, 12 * sigma), inverted("tau", 0))(cycles))
+        assert [one.fault.split(" ")[0] for one in worse.findings] == ["inverted", "noisier"]
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ import pytest
 from cli_support import run
 
 from conftest import ROOT
+from zygos.arm import load_arm
 from zygos.files.tables import read_columns
 from zygos.telemetry.drives import profiles, read_drives
 
@@ -241,15 +242,17 @@ def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tu
 
 
 def test_convert_from_candump(tmp_path: Path) -> None:
-    """Seven motors of one bus in candump's format, classical and FD, become a run and an arm file."""
-    times = np.arange(0.0, 4.0, 0.004)
+    """Seven motors of one bus in candump's format, classical and FD, become a run and an arm file. It has the noise of
+    the torques: four steps, in means of two and a half samples before a gear of ten."""
+    times, noise = np.arange(0.0, 4.0, 0.004), np.random.default_rng(0).normal(0.0, 4.0, 1000)
     ranges = (54, 54, 28, 28, 10, 10, 10)
     lines, angles = [], []
     for k, t in enumerate(times):
         for i, high in enumerate(ranges):
             angle = 0.5 * math.sin(1.5 * t + i)
             code = round((angle + 12.5) / 25 * 65535)
-            torque = round((0.02 * high * math.cos(2 * t) + high) / (2 * high) * 4095)
+            exact = (0.02 * high * math.cos(2 * t) + high) / (2 * high) * 4095
+            torque = round(exact + (noise[k] if i == 6 else 0.0))
             data = bytes([i + 1, code >> 8, code & 255, 0x80, torque >> 8, torque & 255, 30, 30])
             fd = "##1" if k % 2 else "#"
             lines.append(f"({t + 1e-4 * i:.6f}) can0 {0x11 + i:03X}{fd}{data.hex().upper()}\n")
@@ -265,4 +268,8 @@ def test_convert_from_candump(tmp_path: Path) -> None:
     assert np.abs(shift[20:-20] - expected[20:-20]).max() < 0.02
     torque = np.asarray(columns["tau[0]"], dtype=float)
     assert np.abs(torque).max() == pytest.approx(0.02 * 54 / 9, rel=0.05)
-    assert 'name = "joint7"' in (out.parent / "arm.toml").read_text()
+    joints = load_arm(out.parent / "arm.toml").joints
+    assert joints[6].name == "joint7"
+    step = 20.0 / 4095 / 10.0 / math.sqrt(2.5)
+    assert joints[6].torque_sigma == pytest.approx(4.0 * step, rel=0.1)
+    assert joints[5].torque_sigma == pytest.approx(step / math.sqrt(12.0), rel=0.1)

@@ -28,7 +28,6 @@ from zygos.telemetry.convert import (
     SPARSE,
     converted,
     fitting_cutoff_hz,
-    noise_warnings,
     noisier_arm_text,
     refused_share,
     signal_rows,
@@ -56,8 +55,9 @@ def convert_run(
     json: str | None,
     drives: Drives | None = None,
     mcap: Path | None = None,
+    scatter: bool = False,
 ) -> None:
-    """Convert foreign telemetry; see `zygos convert --help`."""
+    """Convert foreign telemetry; see `zygos convert --help`. scatter: as of `converted`."""
     kind: Input = "mcap" if is_mcap(source) else "table" if is_table(source) else "log"
     _check_names(source, dbc, out, kind, mapped=map_file is not None, drives=drives)
     chosen = arm_file or (map_file or source).parent / "arm.toml"
@@ -75,7 +75,7 @@ def convert_run(
         dictionary = drives.dictionary if drives else partial(Dictionary.load, dbc)
         recording = run_recording(run, mapping) if run else _read(source, kind, dictionary, mapping, bar)
         samples = {source: len(one.value) for source, one in recording.sources.items()}
-        result = converted(recording, mapping, arm)
+        result = converted(recording, mapping, arm, scatter)
         mended, found, noise, described = result.mended, result.found, result.noise, result.arm
         recording = mended.recording
         cycles = with_breaks(result.cycles, run) if run else result.cycles
@@ -91,8 +91,7 @@ def convert_run(
     rows = signal_rows(samples, mended, found, cycles, described, noise)
     cutoff = arm.smoother.cutoff_hz
     fitting = fitting_cutoff_hz(cycles, described) if cutoff is None else None
-    warnings = [*mended.warnings, *noise_warnings(arm, found, noise, mended.jumping)]
-    warnings += warnings_of(arm, cycles, described, recording, found, out, refused)
+    warnings = [*result.warnings, *warnings_of(arm, cycles, described, recording, found, out, refused)]
     content: dict[str, Any] = {
         "input": str(source),
         "map": str(map_file) if map_file else None,
@@ -324,4 +323,4 @@ def command(
     check_mcap_name(mcap)
     drives = named_drives(drive, nodes, eds, arm, urdf)
     with arm_file_of(arm, urdf, drives, "convert") as described:
-        convert_run(source, dbc or [], map_file, described, out, json, drives, mcap)
+        convert_run(source, dbc or [], map_file, described, out, json, drives, mcap, scatter=urdf is not None)

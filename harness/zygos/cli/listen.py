@@ -35,7 +35,7 @@ from zygos.ground.estimate import estimate_ground
 from zygos.model.model import Model, load_model
 from zygos.native.flight import Flight
 from zygos.report.provenance import provenance
-from zygos.telemetry.convert import converted, noise_warnings
+from zygos.telemetry.convert import converted
 from zygos.telemetry.drives import Drives
 from zygos.telemetry.frames import Decoder
 from zygos.telemetry.map import SI_UNIT
@@ -68,8 +68,9 @@ class _Frames:
 class _Answers:
     """Frames of drives, whose signals are kept for an estimate at the end."""
 
-    def __init__(self, arm: Arm, drives: Drives) -> None:
-        self.arm, self.mapping = arm, drives.mapping(arm)
+    def __init__(self, arm: Arm, drives: Drives, scatter: bool) -> None:
+        """scatter: as of `converted`."""
+        self.arm, self.mapping, self.scatter = arm, drives.mapping(arm), scatter
         self.decoder = Decoder(drives.dictionary(), self.mapping)
 
     def counts(self, message: can.Message) -> bool:
@@ -102,8 +103,8 @@ class _Answers:
     def run(self, where: str) -> Run:
         """What was heard, on the grid of the arm, with warnings about it. Errors: as `Decoder.recording` and
         `converted`."""
-        result = converted(self.decoder.recording(Path(where)), self.mapping, self.arm)
-        warn([*result.mended.warnings, *noise_warnings(self.arm, result.found, result.noise, result.mended.jumping)])
+        result = converted(self.decoder.recording(Path(where)), self.mapping, self.arm, self.scatter)
+        warn(result.warnings)
         return Run(result.arm, table=result.cycles)
 
 
@@ -130,8 +131,10 @@ def listen_bus(
     log: Path | None,
     wanted: Wanted,
     drives: Drives | None = None,
+    scatter: bool = False,
 ) -> None:
-    """Estimate while frames arrive; see `zygos listen --help`. inputs: the files that outputs may not replace."""
+    """Estimate while frames arrive; see `zygos listen --help`. inputs: the files that outputs may not replace; scatter:
+    as of `converted`."""
     _check_files(out, log, wanted, [*inputs, model_file])
     prior = load_model(model_file) if model_file else None
     if drives is None:
@@ -147,7 +150,7 @@ def listen_bus(
                 f"--drive: arm {arm.name} floats or has flexible joints, and its estimate at the end is that of an arm "
                 "on the ground with rigid ones; remedy: record (candump -L), and use `zygos convert --drive`"
             )
-        answers = _Answers(arm, drives)
+        answers = _Answers(arm, drives, scatter)
         failures = _hear(answers, source, out, log)
         learned = estimate_ground([answers.run(str(source))], model=prior)
         finish_ground(learned, out, wanted, partial(provenance, ["listen"], []))
@@ -305,4 +308,4 @@ def command(
         if described is None:
             raise ZygosError("the arm is not described; remedy: give its file with --arm, or with --drive its --urdf")
         known = load_arm(described)
-    listen_bus(known, [arm, urdf], out, model, source, log, wanted, drives)
+    listen_bus(known, [arm, urdf], out, model, source, log, wanted, drives, scatter=urdf is not None)

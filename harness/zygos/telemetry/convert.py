@@ -80,12 +80,12 @@ def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track]
     return found, cycles, dict(recording.left_out) | lost
 
 
-def noise_of(found: Sequence[Track], mapping: Map, arm: Arm) -> list[Noise]:
-    """What becomes of the noise of each channel."""
+def noise_of(found: Sequence[Track], mapping: Map, arm: Arm, scatter: bool = False) -> list[Noise]:
+    """What becomes of the noise of each channel; scatter: as of `grid_noise`."""
     if mapping.clock.kind == "sync":
         return [Noise()] * len(found)
     at = instants(found, arm, mapping)
-    return [grid_noise(track, at, arm, mapping) for track in found]
+    return [grid_noise(track, at, arm, mapping, scatter) for track in found]
 
 
 def check_noise(arm: Arm, found: Sequence[Track], noise: Sequence[Noise]) -> None:
@@ -215,20 +215,36 @@ class Converted:
     """What becomes of the noise of each channel."""
     arm: Arm
     """With the noise that the cycles have; the very arm that was given where they have no other."""
+    declared: Arm
+    """The arm that was given."""
+    scatter: bool
+    """As of `converted`."""
+
+    @property
+    def warnings(self) -> list[str]:
+        """About samples that were left out, and about noise that nobody declared."""
+        told = [
+            (track, change)
+            for track, change in zip(self.found, self.noise, strict=True)
+            if not (self.scatter and track.channel.field == "tau")
+        ]
+        tracks, noise = [track for track, _ in told], [change for _, change in told]
+        return [*self.mended.warnings, *noise_warnings(self.declared, tracks, noise, self.mended.jumping)]
 
 
-def converted(recording: Recording, mapping: Map, arm: Arm) -> Converted:
-    """Bring a recording to the grid of an arm. Errors: ZygosError for samples that cannot be those of the arm."""
+def converted(recording: Recording, mapping: Map, arm: Arm, scatter: bool = False) -> Converted:
+    """Bring a recording to the grid of an arm. scatter: whether the arm knows no more of its torques than their steps,
+    so that their noise is what the samples show. Errors: ZygosError for samples that cannot be those of the arm."""
     sigma = {channel.source: declared_sigma(arm, channel) for channel in mapping.channels}
     whole = mended(recording, times_of(recording, mapping), mapping, sigma)
     found, cycles, lost = cycles_of(whole.recording, mapping, arm)
-    noise = noise_of(found, mapping, arm)
+    noise = noise_of(found, mapping, arm, scatter)
     averaged = averages_torques(found, arm)
     described = arm
     if averaged or any(one != Noise() for one in noise):
         described = replace(noisier(arm, mapping.channels, noise), torque_averaged=averaged or arm.torque_averaged)
     check_noise(described, found, noise)
-    return Converted(whole, found, cycles, lost, noise, described)
+    return Converted(whole, found, cycles, lost, noise, described, arm, scatter)
 
 
 def averages_torques(found: Sequence[Track], arm: Arm) -> bool:

@@ -551,12 +551,13 @@ class Noise:
     """Whether most of it is the error of the interpolation, which a faster recording reduces."""
 
 
-def grid_noise(track: Track, at: Floats, arm: Arm, mapping: Map) -> Noise:
+def grid_noise(track: Track, at: Floats, arm: Arm, mapping: Map, scatter: bool = False) -> Noise:
     """The noise of a track's values at instants (m,) of the grid of the arm's period.
 
     An average keeps the density of the noise, so that its standard deviation is multiplied by sqrt(interval / period).
     If the samples scatter more than the arm file says about the polynomials through them, the excess is added. The
-    average of a torque has its integral, to which nothing is added. Interpolation adds nothing to samples on the grid.
+    average of a torque has its integral, to which nothing is added, because torques may really change from sample to
+    sample; with scatter, that counts as noise all the same. Interpolation adds nothing to samples on the grid.
     """
     channel, sigma = track.channel, declared_sigma(arm, track.channel)
     kind = kind_of(channel, mapping, arm)
@@ -564,7 +565,7 @@ def grid_noise(track: Track, at: Floats, arm: Arm, mapping: Map) -> Noise:
         own, rest = interpolation_variance(track, kind, sigma, at)
         return Noise(1.0, math.sqrt(own + rest), own > rest)
     kept = math.sqrt(track.interval_s / arm.period_s)
-    if channel.field == "tau":
+    if channel.field == "tau" and not scatter:
         return Noise(kept)
     variance = averaged(track, at, arm.period_s).variance
     known = variance[np.isfinite(variance)]
