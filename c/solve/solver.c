@@ -76,65 +76,180 @@ static void multiply_symmetric(const double *packed, const double *x, uint32_t n
     }
 }
 
+/* Two numbers side by side, with which a processor that can reckons at once. A compiler that has to take them apart
+   keeps an array of them in memory. */
+#if defined(__SSE2__) || defined(__aarch64__)
+typedef double both_t __attribute__((vector_size(2 * sizeof(double)), aligned(sizeof(double)), may_alias));
+
+static inline both_t both_at(const double *x)
+{
+    return *(const both_t *)x;
+}
+
+static inline void put_both(double *x, both_t value)
+{
+    *(both_t *)x = value;
+}
+
+/* a + b c, a - b c, and (a - b) / c. */
+static inline both_t increased(both_t a, both_t b, both_t c)
+{
+    return a + b * c;
+}
+
+static inline both_t decreased(both_t a, both_t b, both_t c)
+{
+    return a - b * c;
+}
+
+static inline both_t quotient(both_t a, both_t b, both_t c)
+{
+    return (a - b) / c;
+}
+#else
+typedef struct {
+    double first;
+    double second;
+} both_t;
+
+static inline both_t both_at(const double *x)
+{
+    return (both_t){ x[0], x[1] };
+}
+
+static inline void put_both(double *x, both_t value)
+{
+    x[0] = value.first;
+    x[1] = value.second;
+}
+
+static inline both_t increased(both_t a, both_t b, both_t c)
+{
+    return (both_t){ a.first + b.first * c.first, a.second + b.second * c.second };
+}
+
+static inline both_t decreased(both_t a, both_t b, both_t c)
+{
+    return (both_t){ a.first - b.first * c.first, a.second - b.second * c.second };
+}
+
+static inline both_t quotient(both_t a, both_t b, both_t c)
+{
+    return (both_t){ (a.first - b.first) / c.first, (a.second - b.second) / c.second };
+}
+#endif
+
 /* sum += a b of two numbers side by side. */
 static inline void accumulate(double *sum, const double *a, const double *b)
 {
-    const double both[2] = { sum[0] + a[0] * b[0], sum[1] + a[1] * b[1] };
-    sum[0] = both[0];
-    sum[1] = both[1];
+    put_both(sum, increased(both_at(sum), both_at(a), both_at(b)));
 }
 
-/* x := (x - sum) / divisor of two numbers side by side. */
-static inline void quotient(double *x, const double *sum, const double *divisor)
+/* Entry k of a row of two factors side by side, or of one that stands for both. */
+static inline both_t entry_of(const double *row, uint32_t factors, size_t k)
 {
-    const double both[2] = { (x[0] - sum[0]) / divisor[0], (x[1] - sum[1]) / divisor[1] };
-    x[0] = both[0];
-    x[1] = both[1];
+    return (factors == 2u) ? both_at(&row[2u * k]) : (both_t){ row[k], row[k] };
 }
 
-/* x := L^-T L^-1 x of n columns and two right sides. What is before first is 0. */
-static void substitute(const double *l, uint32_t first, uint32_t n, double (*x)[2])
+/* Entry k of x less a sum, divided by entry k of a row. */
+static inline both_t rest_of(double (*x)[2], both_t sum, const double *row, uint32_t factors, size_t k)
 {
-    for (uint32_t i = first; i < n; i++) {
-        const double *row = &l[entry_at(i, 0)];
-        const double diagonal[2] = { row[i], row[i] };
-        double sum[2] = { 0.0 };
-        for (uint32_t k = first; k < i; k++) {
-            const double both[2] = { row[k], row[k] };
-            accumulate(sum, both, x[k]);
+    put_both(x[k], quotient(both_at(x[k]), sum, entry_of(row, factors, k)));
+    return both_at(x[k]);
+}
+
+/* x := L^-1 x of two factors side by side, or of one for both; the rows from first to before n. What is before first is
+   0. Inline, so that the compiler knows the number of factors. */
+__attribute__((always_inline)) static inline void forward(const double *l, uint32_t factors, uint32_t first, uint32_t n,
+                                                          double (*x)[2])
+{
+    uint32_t i = first;
+    for (; i + 4u <= n; i += 4u) {
+        const double *a = &l[factors * entry_at(i, 0)];
+        const double *b = &l[factors * entry_at(i + 1u, 0)];
+        const double *c = &l[factors * entry_at(i + 2u, 0)];
+        const double *d = &l[factors * entry_at(i + 3u, 0)];
+        both_t sum_a = { 0.0, 0.0 };
+        both_t sum_b = { 0.0, 0.0 };
+        both_t sum_c = { 0.0, 0.0 };
+        both_t sum_d = { 0.0, 0.0 };
+        for (size_t k = first; k < i; k++) {
+            const both_t own = both_at(x[k]);
+            sum_a = increased(sum_a, entry_of(a, factors, k), own);
+            sum_b = increased(sum_b, entry_of(b, factors, k), own);
+            sum_c = increased(sum_c, entry_of(c, factors, k), own);
+            sum_d = increased(sum_d, entry_of(d, factors, k), own);
         }
-        quotient(x[i], sum, diagonal);
+        const both_t y = rest_of(x, sum_a, a, factors, i);
+        sum_b = increased(sum_b, entry_of(b, factors, i), y);
+        const both_t z = rest_of(x, sum_b, b, factors, i + 1u);
+        sum_c = increased(increased(sum_c, entry_of(c, factors, i), y), entry_of(c, factors, i + 1u), z);
+        const both_t v = rest_of(x, sum_c, c, factors, i + 2u);
+        sum_d = increased(increased(sum_d, entry_of(d, factors, i), y), entry_of(d, factors, i + 1u), z);
+        sum_d = increased(sum_d, entry_of(d, factors, i + 2u), v);
+        (void)rest_of(x, sum_d, d, factors, i + 3u);
     }
-    for (uint32_t i = n; i-- > 0;) {
-        const double *row = &l[entry_at(i, 0)];
-        const double y[2] = { -x[i][0] / row[i], -x[i][1] / row[i] };
-        for (uint32_t k = 0; k < i; k++) {
-            const double both[2] = { row[k], row[k] };
-            accumulate(x[k], both, y);
+    for (; i < n; i++) {
+        const double *row = &l[factors * entry_at(i, 0)];
+        both_t sum = { 0.0, 0.0 };
+        for (size_t k = first; k < i; k++) {
+            sum = increased(sum, entry_of(row, factors, k), both_at(x[k]));
         }
-        x[i][0] = -y[0];
-        x[i][1] = -y[1];
+        (void)rest_of(x, sum, row, factors, i);
     }
+}
+
+/* x := L^-T x of the same, its entries from first on. */
+__attribute__((always_inline)) static inline void backward(const double *l, uint32_t factors, uint32_t first,
+                                                           uint32_t n, double (*x)[2])
+{
+    const both_t none = { 0.0, 0.0 };
+    uint32_t i = n;
+    for (; i >= first + 2u; i -= 2u) {
+        const double *lower = &l[factors * entry_at(i - 1u, 0)];
+        const double *upper = &l[factors * entry_at(i - 2u, 0)];
+        const both_t y = rest_of(x, none, lower, factors, i - 1u);
+        put_both(x[i - 2u], decreased(both_at(x[i - 2u]), entry_of(lower, factors, i - 2u), y));
+        const both_t z = rest_of(x, none, upper, factors, i - 2u);
+        for (size_t k = first; k < i - 2u; k++) {
+            const both_t rest = decreased(both_at(x[k]), entry_of(lower, factors, k), y);
+            put_both(x[k], decreased(rest, entry_of(upper, factors, k), z));
+        }
+    }
+    if (i > first) {
+        (void)rest_of(x, none, &l[factors * entry_at(first, 0)], factors, first);
+    }
+}
+
+/* x := L^-T L^-1 x of n columns and two right sides, its entries from first on. What is before first is 0. */
+__attribute__((noinline)) static void substitute(const double *l, uint32_t first, uint32_t n, double (*x)[2])
+{
+    forward(l, 1u, first, n, x);
+    backward(l, 1u, first, n, x);
 }
 
 /* Diagonal of the inverse of the factorised matrix of all rows; 0 for columns that are left out. Returns the 1-norm of
-   the inverse. */
+   the inverse, of which the entries below the diagonal stand for those above. */
 static double invert(const zygos_solver_t *work, uint32_t p, double *diagonal)
 {
     double(*x)[2] = work->column;
+    double *sum = work->product;
     double norm = 0.0;
+    memset(sum, 0, p * sizeof sum[0]);
     for (uint32_t i = 0; i < p; i += 2u) {
         memset(x, 0, (p + 1u) * sizeof x[0]);
         x[i][0] = 1.0;
         x[i + 1u][1] = 1.0;
         substitute(work->factor, i, p, x);
         for (uint32_t side = 0; (side < 2u) && (i + side < p); side++) {
-            double sum = 0.0;
-            for (uint32_t j = 0; j < p; j++) {
-                sum += zygos_magnitude(x[j][side]);
+            const uint32_t own = i + side;
+            diagonal[own] = x[own][side];
+            sum[own] += zygos_magnitude(x[own][side]);
+            for (uint32_t j = own + 1u; j < p; j++) {
+                sum[own] += zygos_magnitude(x[j][side]);
+                sum[j] += zygos_magnitude(x[j][side]);
             }
-            norm = zygos_larger(sum, norm);
-            diagonal[i + side] = x[i + side][side];
+            norm = zygos_larger(sum[own], norm);
         }
     }
     return norm;
@@ -183,42 +298,9 @@ static uint32_t independent(zygos_solver_t *work, uint32_t p)
 }
 
 /* x := L^-1 x of two factors side by side, the rows from first to before n. What is before first is 0. */
-static void forward(const double (*l)[2], uint32_t first, uint32_t n, double (*x)[2])
+__attribute__((noinline)) static void forward_both(const double (*l)[2], uint32_t first, uint32_t n, double (*x)[2])
 {
-    const double(*a)[2] = &l[entry_at(first, 0)];
-    uint32_t i = first;
-    for (; i + 4u <= n; i += 4u) {
-        const double(*b)[2] = &a[i + 1u];
-        const double(*c)[2] = &b[i + 2u];
-        const double(*d)[2] = &c[i + 3u];
-        double sum[4][2] = { { 0.0 } };
-        for (uint32_t k = first; k < i; k++) {
-            accumulate(sum[0], a[k], x[k]);
-            accumulate(sum[1], b[k], x[k]);
-            accumulate(sum[2], c[k], x[k]);
-            accumulate(sum[3], d[k], x[k]);
-        }
-        double(*y)[2] = &x[i];
-        quotient(y[0], sum[0], a[i]);
-        accumulate(sum[1], b[i], y[0]);
-        quotient(y[1], sum[1], b[i + 1u]);
-        accumulate(sum[2], c[i], y[0]);
-        accumulate(sum[2], c[i + 1u], y[1]);
-        quotient(y[2], sum[2], c[i + 2u]);
-        accumulate(sum[3], d[i], y[0]);
-        accumulate(sum[3], d[i + 1u], y[1]);
-        accumulate(sum[3], d[i + 2u], y[2]);
-        quotient(y[3], sum[3], d[i + 3u]);
-        a = &d[i + 4u];
-    }
-    for (; i < n; i++) {
-        double sum[2] = { 0.0 };
-        for (uint32_t k = first; k < i; k++) {
-            accumulate(sum, a[k], x[k]);
-        }
-        quotient(x[i], sum, a[i]);
-        a = &a[i + 1u];
-    }
+    forward(l[0], 2u, first, n, x);
 }
 
 /* Cholesky of two systems of scaled equations side by side, in place; their right sides become L^-1 of them. The
@@ -231,7 +313,7 @@ static void factorise_both(double (*l)[2], uint32_t p, uint32_t *rank)
     for (uint32_t i = 0; i <= p; i++) {
         double(*row)[2] = &l[entry_at(i, 0)];
         double square[2] = { 0.0 };
-        forward((const double(*)[2])l, 0, i, row);
+        forward_both((const double(*)[2])l, 0, i, row);
         for (uint32_t k = 0; k < i; k++) {
             accumulate(square, row[k], row[k]);
         }
@@ -243,21 +325,22 @@ static void factorise_both(double (*l)[2], uint32_t p, uint32_t *rank)
     }
 }
 
+static void scale_both(const zygos_solver_t *work, uint32_t p, double (*x)[2])
+{
+    for (uint32_t i = 0; i < p; i++) {
+        x[i][0] *= work->scale[i];
+        x[i][1] *= work->scale[i];
+    }
+}
+
 /* Factorises the two systems of scaled equations in work->matrix. Their solutions, unscaled, are in change. */
 static void solve_both(const zygos_solver_t *work, uint32_t p, uint32_t *rank)
 {
     double(*x)[2] = work->change;
     factorise_both(work->matrix, p, rank);
     memcpy(x, work->matrix[entry_at(p, 0)], p * sizeof x[0]);
-    for (uint32_t i = p; i-- > 0;) {
-        double(*row)[2] = &work->matrix[entry_at(i, 0)];
-        const double y[2] = { -x[i][0] / row[i][0], -x[i][1] / row[i][1] };
-        for (uint32_t k = 0; k < i; k++) {
-            accumulate(x[k], row[k], y);
-        }
-        x[i][0] = -y[0] * work->scale[i];
-        x[i][1] = -y[1] * work->scale[i];
-    }
+    backward(work->matrix[0], 2u, 0, p, x);
+    scale_both(work, p, x);
 }
 
 /* Diagonals of the inverses of the two factorised matrices; 0 for columns that are left out. */
@@ -269,7 +352,7 @@ static void inverse_diagonals(const zygos_solver_t *work, uint32_t p, double (*o
         memset(x[i], 0, (p - i) * sizeof x[0]);
         x[i][0] = 1.0;
         x[i][1] = 1.0;
-        forward((const double(*)[2])work->matrix, i, p, x);
+        forward_both((const double(*)[2])work->matrix, i, p, x);
         for (uint32_t k = i; k < p; k++) {
             accumulate(square, x[k], x[k]);
         }
@@ -376,10 +459,7 @@ static void equations_of_all(const zygos_solver_t *work, uint32_t p, uint32_t ra
 static void solve_again(const zygos_solver_t *work, uint32_t p, double (*x)[2])
 {
     substitute(work->factor, 0, p, x);
-    for (uint32_t i = 0; i < p; i++) {
-        x[i][0] *= work->scale[i];
-        x[i][1] *= work->scale[i];
-    }
+    scale_both(work, p, x);
 }
 
 /* Every stride-th number of out += factor times a packed matrix whose columns have these places, or none. */
