@@ -130,7 +130,11 @@ def answer_of(found: Estimation, *, written: str = "", damage: Sequence[str] = (
             Fact("instants used", f"{result.accepted:,}"),
             Fact("instants refused", f"{result.refused:,}"),
             Fact("arcs", f"{result.arcs:,}, {flight.counts['arcs_dropped']:,} dropped"),
-            Fact("arcs left out", ", ".join(map(str, result.left_out))),
+            *(
+                Fact(f"arcs left out, {rows} rows", f"{count:,}")
+                for rows, count in zip(ROWS, result.left_out, strict=True)
+                if count
+            ),
             Fact("rank", f"{result.rank} of {count}"),
             Fact("residual, rms", f"{number(result.residual, 3)} J"),
             Fact("residual² / declared noise²", number(result.noise_ratio, 3)),

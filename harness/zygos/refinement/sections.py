@@ -64,7 +64,7 @@ _READING = (
         "The smallest standard deviation that any unbiased estimator can have from this motion, with the noise of "
         "the torques that was found.",
     ),
-    ("Not seen", "by any of this: a common error of all torques. It scales all parameters alike."),
+    ("What nothing here sees", "A common error of all torques scales all parameters alike, and no rule notices it."),
 )
 
 
