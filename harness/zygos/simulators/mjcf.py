@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from zygos.errors import ZygosError, installs
-from zygos.simulators.robot import Hinge, Lump, Owner, Robot, written
+from zygos.simulators.robot import Hinge, Lump, Owner, Robot, Spring, written
 from zygos.simulators.springs import HINGE, spring_of, springs_of, terms
 from zygos.simulators.view import View
 from zygos.simulators.xml import Document, Edits, Element, read_document
@@ -121,8 +121,6 @@ def read_mjcf(path: Path, joints: Sequence[str] | int | None) -> Robot:
     check_compiler(document)
     tree = compiled(path)
     mujoco = load_mujoco()
-    data = mujoco.MjData(tree)
-    mujoco.mj_kinematics(tree, data)
     if (joints is None or isinstance(joints, int)) and _floats_or_bends(mujoco, tree):
         raise ZygosError(
             f"{path}: its arm floats or has springs, whose encoders, gears and gyro no file of a simulator states; "
@@ -133,7 +131,8 @@ def read_mjcf(path: Path, joints: Sequence[str] | int | None) -> Robot:
     springs = springs_of(path, mujoco, tree, chosen)
     _check(path, mujoco, tree, chosen, [t for one in springs.values() for t in (one.tendon, one.second)])
     bodies_of(document, tree)
-    view = View(tree, data, root)
+    view = _view(tree, root)
+    data = view.data
     carriers = [int(tree.jnt_bodyid[j]) for j in chosen]
     rotors = {int(tree.jnt_bodyid[one.number]) for one in springs.values()}
     hinges = tuple(
@@ -175,15 +174,14 @@ def read_mjcf(path: Path, joints: Sequence[str] | int | None) -> Robot:
 
 def _owner(path: Path, view: View, bodies: Sequence[int], said: str) -> Owner:
     """Of bodies that move together, the one whose inertial is changed: the heaviest. said: what they are."""
-    tree, data = view.tree, view.data
+    tree = view.tree
     heaviest = max(bodies, key=lambda b: float(tree.body_mass[b]))
     if not tree.body_mass[heaviest] > 0.0:
         raise ZygosError(f"{path}: {said} has no mass; remedy: give its body an <inertial>")
     lumps = {b: view.lump(b) for b in bodies}
     return Owner(
         tree.body(heaviest).name or f"body {heaviest}",
-        view.attitude.T @ data.xmat[heaviest].reshape(3, 3),
-        view.place(data.xpos[heaviest]),
+        *view.pose(heaviest),
         lumps.pop(heaviest),
         tuple(lumps.values()),
         heaviest,
@@ -199,11 +197,8 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
     document = read_document(old.path, includes=True)
     tree = compiled(old.path)
     elements, edits = bodies_of(document, tree), Edits(document)
-
-    def change(element: Element, *numbers: tuple[str, float, float]) -> None:
-        for name, was, now in numbers:
-            if was != now:
-                edits.give(element, **{name: written([now])})
+    arm = int(tree.body_rootid[int(tree.jnt_bodyid[old.hinges[0].number])])
+    view = _view(tree, None if old.base is None else arm)
 
     def joint(number: int) -> Element:
         body = int(tree.jnt_bodyid[number])
@@ -212,14 +207,15 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
     def inertial(body: int, lump: Lump) -> None:
         full = lump.tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         entries = {"pos": written(lump.centre), "mass": written([lump.mass]), "fullinertia": written(full)}
-        old = elements[body - 1].first("inertial")
-        if old is None:
+        present = elements[body - 1].first("inertial")
+        if present is None:
             edits.insert(elements[body - 1], f"<inertial {_attributes(entries)}/>")
         else:
-            edits.give(old, **entries, **dict.fromkeys(_TURNS))
+            edits.give(present, **entries, **dict.fromkeys(_TURNS))
 
     for before, after in zip(old.hinges, new.hinges, strict=True):
-        change(
+        _change(
+            edits,
             joint(before.number),
             ("armature", before.armature, after.armature),
             ("frictionloss", before.friction, after.friction),
@@ -228,46 +224,57 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
         was, now = before.spring, after.spring
         if was is None or now is None or was is now:
             continue
-        change(joint(was.number), ("frictionloss", was.friction, now.friction), ("damping", was.rub, now.rub))
-        tendon, size = tendons_of(document)[was.tendon], (was.coefficient * was.ratio) ** 2
-        change(tendon, ("damping", was.damping / size, now.damping / size))
-        if (was.stiffness, was.slack, was.cubic) != (now.stiffness, now.slack, now.cubic):
-            stiffness = max(now.stiffness - now.slack, 0.0) / size
-            terms = [stiffness, *([0.0, now.cubic / size**2] if now.cubic else [])]
-            edits.give(tendon, stiffness=" ".join(f"{x:.10g}" for x in terms))
-        if (was.slack, was.gap_rad) != (now.slack, now.gap_rad):
-            half = now.gap_rad * abs(was.coefficient * was.ratio)
-            ends = written([float(tree.tendon_length0[was.tendon]) + sign * half for sign in (-1.0, 1.0)])
-            if was.second >= 0:
-                edits.give(tendons_of(document)[was.second], stiffness=written([now.slack / size]), springlength=ends)
-            else:
-                inner = "".join(f"<joint {_attributes(one.attributes)}/>" for one in tendon.all("joint"))
-                section = next(one for one in document.root.all("tendon") if tendon in one.children)
-                own = _attributes({"stiffness": written([now.slack / size]), "springlength": ends})
-                edits.insert(section, f"<fixed {own}>{inner}</fixed>")
-        if (was.stiffness, was.offset) != (now.stiffness, now.offset) and (was.offset or now.offset):
-            # the length at the zeros, and what the offset adds to it
-            low = float(tree.tendon_lengthspring[was.tendon, 0])
-            of_joint = -was.coefficient * was.ratio
-            low += of_joint * (now.offset / now.stiffness - was.offset / was.stiffness)
-            edits.give(tendon, springlength=written([low]))
+        _change(edits, joint(was.number), ("frictionloss", was.friction, now.friction), ("damping", was.rub, now.rub))
+        _tie(edits, document, tree, was, now)
         if now.rotor is not was.rotor:
             body = int(tree.jnt_bodyid[was.number])
-            attitude, origin = _pose(tree, body, new.base)
-            inertial(body, now.rotor.in_frame(attitude, origin))
+            inertial(body, now.rotor.in_frame(*view.pose(body)))
     for carried, owner in zip(old.bodies, new.bodies, strict=True):
         if carried.own is not owner.own:
             inertial(owner.number, owner.own.in_frame(owner.attitude, owner.origin))
     return edits.result(rename)
 
 
-def _pose(tree: Any, body: int, base: Owner | None) -> tuple[Any, Any]:
-    """Attitude (3, 3) and origin (3,) of a body in the axes of the base."""
+def _change(edits: Edits, element: Element, *numbers: tuple[str, float, float]) -> None:
+    """Give an element those attributes that become other numbers: name, before and after."""
+    for name, was, now in numbers:
+        if was != now:
+            edits.give(element, **{name: written([now])})
+
+
+def _tie(edits: Edits, document: Document, tree: Any, was: Spring, now: Spring) -> None:
+    """Change the tendons of a spring."""
+    tendons = tendons_of(document)
+    tendon, size = tendons[was.tendon], (was.coefficient * was.ratio) ** 2
+    _change(edits, tendon, ("damping", was.damping / size, now.damping / size))
+    if (was.stiffness, was.slack, was.cubic) != (now.stiffness, now.slack, now.cubic):
+        stiffness = max(now.stiffness - now.slack, 0.0) / size
+        orders = [stiffness, *([0.0, now.cubic / size**2] if now.cubic else [])]
+        edits.give(tendon, stiffness=" ".join(f"{x:.10g}" for x in orders))
+    if (was.slack, was.gap_rad) != (now.slack, now.gap_rad):
+        half = now.gap_rad * abs(was.coefficient * was.ratio)
+        ends = written([float(tree.tendon_length0[was.tendon]) + sign * half for sign in (-1.0, 1.0)])
+        if was.second >= 0:
+            edits.give(tendons[was.second], stiffness=written([now.slack / size]), springlength=ends)
+        else:
+            inner = "".join(f"<joint {_attributes(one.attributes)}/>" for one in tendon.all("joint"))
+            section = next(one for one in document.root.all("tendon") if tendon in one.children)
+            own = _attributes({"stiffness": written([now.slack / size]), "springlength": ends})
+            edits.insert(section, f"<fixed {own}>{inner}</fixed>")
+    if (was.stiffness, was.offset) != (now.stiffness, now.offset) and (was.offset or now.offset):
+        # the length at the zeros, and what the offset adds to it
+        low = float(tree.tendon_lengthspring[was.tendon, 0])
+        of_joint = -was.coefficient * was.ratio
+        low += of_joint * (now.offset / now.stiffness - was.offset / was.stiffness)
+        edits.give(tendon, springlength=written([low]))
+
+
+def _view(tree: Any, root: int | None) -> View:
+    """A compiled file in the posture in which it is written. root: body of a base that floats."""
     mujoco = load_mujoco()
     data = mujoco.MjData(tree)
     mujoco.mj_kinematics(tree, data)
-    view = View(tree, data, None if base is None else int(tree.body_rootid[body]))
-    return view.attitude.T @ data.xmat[body].reshape(3, 3), view.place(data.xpos[body])
+    return View(tree, data, root)
 
 
 def _attributes(values: Mapping[str, str]) -> str:

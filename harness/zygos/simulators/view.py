@@ -30,6 +30,10 @@ class View:
         origin = np.zeros(3) if self.root is None else self.data.xpos[self.root]
         return self.attitude.T @ (at - origin)
 
+    def pose(self, body: int) -> tuple[Any, Any]:
+        """Attitude (3, 3) and origin (3,) of a body, m."""
+        return self.attitude.T @ self.data.xmat[body].reshape(3, 3), self.place(self.data.xpos[body])
+
     def lump(self, body: int) -> Lump:
         """The mass of a body."""
         axes = self.attitude.T @ self.data.ximat[body].reshape(3, 3)
