@@ -140,6 +140,8 @@ CONTENDERS = Limit("contenders", 3, "1", "convention",
     "Entries of the catalogue that are each compared about their own model, beside what was named or in its place.")
 STEP_LEAVES = Limit("step leaves", 0.5, "1", "trial",
     "Share of what is left over that one of them may leave to be taken, if all of them leave as little as is asked.")
+DRAWN_TOGETHER = Limit("drawn together", 60_000, "1", "convention",
+    "Instants of the readings of a twin that are drawn at a time: about so many fit into the cache of a processor.")
 CHANCE_Z = Limit("chance z", 1.645, "1", "convention",
     "One-sided 95 % limit of the normal distribution.")
 SHAPE_GAINS = Limit("shape gains", 0.01, "1", "trial",

@@ -134,10 +134,24 @@ class BaseSignals:
     turned: Floats | None = None
     """(..., m, 3, 3) rotation from base axes to those in which the momentum of a spatial arm is stated; None in a
     plane."""
+    torques: dict[tuple[str, float | None, int], Floats] = field(default_factory=dict, compare=False, repr=False)
+    """What `torque` has answered."""
+
+    def torque(self, kind: Kind, shape: float, component: int) -> Floats:
+        """(..., m) f along the motion, per unit of its coefficient."""
+        key = kind.key, None if np.isnan(shape) else shape, component
+        if key not in self.torques:
+            assert kind.law is not None
+            self.torques[key] = kind.law(self.motion(kind, shape, component), shape)
+        return self.torques[key]
+
+    def rate_about(self, component: int) -> Floats:
+        """(..., m) rate about an axis of the base, or about that of a planar arm, rad/s."""
+        return self.rate[..., component] if self.turned is not None else self.rate
 
     def motion(self, kind: Kind, shape: float, component: int) -> Motion:
         """What a law depends on; the angle is that of a planar arm."""
-        rate = self.rate[..., component] if self.turned is not None else self.rate
+        rate = self.rate_about(component)
         motion = Motion(rate=rate, angle=self.angle, time=np.broadcast_to(self.time, rate.shape))
         return kind.memory.along(motion, shape, self.totals.period_s) if kind.memory else motion
 
@@ -150,11 +164,11 @@ def energy_column(kind: Kind, signals: Signals | BaseSignals, shape: float | Non
     """
     form = kind.shape if shape is None else shape
     if isinstance(signals, BaseSignals):
-        motion = signals.motion(kind, form, component)
+        rate = signals.rate_about(component)
         return (
-            np.zeros_like(motion.rate)
+            np.zeros_like(rate)
             if kind.law is None
-            else -signals.totals.integral(kind.law(motion, form) * motion.rate)
+            else -signals.totals.integral(signals.torque(kind, form, component) * rate)
         )
     s = signals
     if kind.place == "torque":
@@ -229,7 +243,7 @@ def momentum_column(kind: Kind, signals: BaseSignals, shape: float | None = None
     if kind.law is None:
         return np.full((*s.rate.shape, 1), -1.0)
     form = kind.shape if shape is None else shape
-    torque = kind.law(s.motion(kind, form, component), form)
+    torque = s.torque(kind, form, component)
     if s.turned is None:
         return -s.totals.integral(torque)[..., None]
     along = s.turned[..., component] * torque[..., None]
@@ -281,10 +295,11 @@ def _held(kind: Kind, s: Signals, form: float, factor: Floats) -> Floats:
     law, motion = _law(kind), s.motion(kind, form)
 
     def at(shift: int) -> Floats:
-        place = np.maximum(np.arange(1, factor.shape[-1]) - shift, 0)
+        # what stands before the arc's first instant is not used
+        begin, end = max(0, 1 - shift), max(0, factor.shape[-1] - shift)
 
         def then(value: Floats) -> Floats:
-            return np.broadcast_to(value, factor.shape)[..., place]
+            return np.broadcast_to(value, factor.shape)[..., begin:end]
 
         there = replace(
             motion,
@@ -292,11 +307,13 @@ def _held(kind: Kind, s: Signals, form: float, factor: Floats) -> Floats:
             angle=then(motion.angle),
             deflection=then(motion.deflection),
             slip=then(motion.slip),
-            applied=s.after[..., :-1],
+            applied=s.after[..., max(shift - 1, 0) : -1],
             load=then(motion.load),
             time=then(motion.time),
         )
-        return law(there, form) * factor[..., place]
+        out = np.zeros((*factor.shape[:-1], factor.shape[-1] - 1))
+        out[..., max(shift - 1, 0) :] = law(there, form) * factor[..., begin:end]
+        return out
 
     return s.totals.held(at)
 

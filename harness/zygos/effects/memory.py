@@ -63,22 +63,37 @@ class Memory:
         return replace(motion, memory=self._followed(kept, gained).reshape(shaped))
 
     def _followed(self, kept: States, gained: States) -> States:
-        """(..., n, s) states after each of n steps z -> kept z + gained, all of which are taken at once: the steps of
-        twice as many instants are those of the first half of them, and then those of the second."""
-        low, high = np.full(kept.shape, -1.0), np.full(kept.shape, 1.0)
-        gained, kept = gained.copy(), kept.copy()
-        span = 1
-        while span < kept.shape[-2]:
-            before, now = (..., slice(None, -span), slice(None)), (..., slice(span, None), slice(None))
+        """(..., n, s) states after each of n steps z -> kept z + gained, the first of which keeps nothing.
+
+        The steps are cut into blocks as long as there are blocks: first what each block does to the state before it is
+        composed, of all blocks at once, then one block follows on the other.
+        """
+        count = kept.shape[-2]
+        size = max(1, round(float(np.sqrt(count))))
+        blocks = -(-count // size)
+
+        def cut(x: States) -> States:
+            """(size, ..., blocks, s)"""
+            padded = np.zeros((*x.shape[:-2], blocks * size, x.shape[-1]), dtype=x.dtype)
+            padded[..., :count, :] = x
+            return np.moveaxis(padded.reshape(*x.shape[:-2], blocks, size, x.shape[-1]), -2, 0).copy()
+
+        keep, gain = cut(kept), cut(gained)
+        low, high = (np.full(gain.shape if self.stops else 0, x) for x in (-1.0, 1.0))
+        for k in range(1, size):
             if self.stops:
                 # a stop before is moved by the steps behind it, and stopped again
-                limits = [np.clip(kept[now] * x[before] + gained[now], low[now], high[now]) for x in (low, high)]
-            gained[now] += kept[now] * gained[before]
-            kept[now] = kept[now] * kept[before]
+                low[k], high[k] = (np.clip(keep[k] * x[k - 1] + gain[k], -1.0, 1.0) for x in (low, high))
+            gain[k] += keep[k] * gain[k - 1]
+            keep[k] *= keep[k - 1]
+        for k in range(blocks):
+            at = (..., k, slice(None))
+            if k > 0:
+                gain[at] += keep[at] * gain[-1, ..., k - 1, :]
             if self.stops:
-                low[now], high[now] = limits
-            span *= 2
-        return np.clip(gained, low, high) if self.stops else gained
+                gain[at] = np.clip(gain[at], low[at], high[at])
+        joined = np.moveaxis(gain, 0, -2).reshape(*kept.shape[:-2], blocks * size, kept.shape[-1])
+        return np.asarray(joined[..., :count, :])
 
 
 def at_rest(b: States, a: States) -> States:
@@ -88,6 +103,8 @@ def at_rest(b: States, a: States) -> States:
 
 def _over(b: States, a: States, span: float) -> tuple[States, States]:
     """What a step of so many seconds keeps of a state, and adds to it."""
+    if not a.any():
+        return np.ones_like(b), b * span
     decay = a * span
     small = np.abs(decay) < 1e-8
     share = np.where(small, 1.0 - 0.5 * decay, -np.expm1(-decay) / np.where(small, 1.0, decay))

@@ -209,23 +209,21 @@ def refined(found: Search, every: Study) -> Search:
     was named, and every entry of the catalogue beside them all. Those are taken, one after the other, that leave far
     less over; itself where none do. every: the closed study `widened`."""
     luck = found.chance.beside(_possible_of(every) - _possible_of(found.before))
-    now, wide = replace(found, chance=luck), every
+    now = replace(found, chance=luck)
+    wide: Study | None = every
     if found.after.layout.loose:
         # errors of sensors that were set free before effects were tried compete with these, and pay
         held = replace(found.after.layout, loose=())
-        now = replace(now, after=again(found.after, found.after.hypothesis, limits.FEW_DRAWS.value, held))
-        wide = widened(now.after)
+        now, wide = replace(now, after=again(found.after, found.after.hypothesis, limits.FEW_DRAWS.value, held)), None
     first, begun = now.after, _left(now)
-    while _left(now) > limits.TRIFLE.value * begun:
-        tried = [_put(now, wide, one, old) for one, old in _proposals(now, wide)]
-        best = min((one for one in tried if one is not None), key=_left, default=None)
-        if best is None or _left(best) > limits.STEP_LEAVES.value * _left(now):
-            break
-        now = best
-        try:
-            wide = widened(now.after)
-        except Undecided:
-            break
+    with suppress(Undecided):
+        while _left(now) > limits.TRIFLE.value * begun:
+            wide = widened(now.after) if wide is None else wide
+            tried = [_put(now, wide, one, old) for one, old in _proposals(now, wide)]
+            best = min((one for one in tried if one is not None), key=_left, default=None)
+            if best is None or _left(best) > limits.STEP_LEAVES.value * _left(now):
+                break
+            now, wide = best, None
     if now.after is first or _left(now) > (1.0 - limits.REST.value) * begun:
         return found
     now = polished(replace(now, after=again(now.after, now.after.hypothesis)))

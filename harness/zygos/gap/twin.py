@@ -224,12 +224,22 @@ def draws(
     """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1, and what noise adds to them on
     average. zeros, values, every: as of `balance_rows`; known: the twin's own coefficients, as of `accumulate`."""
 
-    def sums(readings: Readings) -> Sums:
-        return accumulate(balance_rows(layout, readings, values, zeros=zeros, every=every), accepted, uncentred, known)
+    def sums(readings: Sequence[Readings]) -> Sums:
+        rows = balance_rows(layout, stacked(readings), values, zeros=zeros, every=every)
+        return accumulate(rows, accepted, uncentred, known)
 
-    exact = sums(twin.exact)
-    drawn = [sums(measure(twin, seed + k)) for k in range(count)]
-    grams = tuple(np.stack(each) for each in zip(*(one.gram for one in drawn), strict=True))
-    noise = tuple(gram.mean(axis=0) - still for gram, still in zip(grams, exact.gram, strict=True))
-    scores = tuple(np.stack(each) for each in zip(*(one.scores or () for one in drawn), strict=True))
-    return Sums(grams, exact.count, noise, scores or None)
+    # several at a time, as many as stay in the cache of a processor; the exact readings are the first
+    seen = [twin.exact, *(measure(twin, seed + k) for k in range(count))]
+    together = max(1, round(limits.DRAWN_TOGETHER.value / twin.exact.q[..., 0].size))
+    parts = [sums(seen[k : k + together]) for k in range(0, count + 1, together)]
+    grams = [np.concatenate(each) for each in zip(*(one.gram for one in parts), strict=True)]
+    scores = [np.concatenate(each)[1:] for each in zip(*(one.scores or () for one in parts), strict=True)]
+    drawn = tuple(gram[1:] for gram in grams)
+    noise = tuple(own.mean(axis=0) - gram[0] for own, gram in zip(drawn, grams, strict=True))
+    return Sums(drawn, parts[0].count, noise, tuple(scores) or None)
+
+
+def stacked(readings: Sequence[Readings]) -> Readings:
+    """Readings of the same arcs with an axis more, in front."""
+    fields = ("q", "theta", "omega0", "tau")
+    return replace(readings[0], **{name: np.stack([getattr(one, name) for one in readings]) for name in fields})
