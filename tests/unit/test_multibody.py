@@ -152,7 +152,7 @@ def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, m
     """With every law that is compiled, one after the other; at the second joint, which is flexible in a mixed arm."""
     arm, model, samples = sampled_arm(2, base, kinetic, kind, states=3)
     width, joint = 3 if kinetic == "spatial" else 1, arm.joints[1].name
-    entries = [one for one in CATALOGUE.values() if one.law in effects.COMPILED]
+    entries = [one for one in CATALOGUE.values() if effects.compiled_form(one) is not None]
     acting: list[tuple[Effect, ...]] = [()]
     for one in entries:
         shape = one.shapes[-1] if one.shapes else None
@@ -200,11 +200,7 @@ def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, m
 def test_steps_of_what_is_not_compiled_are_left_to_python() -> None:
     arm, model = random_arm(2, 2, "free", "planar", [True, True])
     joint = arm.joints[0].name
-    base, lasting = (
-        Effect(CATALOGUE["base_oscillator"], None, 0.1, shape=1.0),
-        Effect(CATALOGUE["motor_dahl"], joint, 0.02, shape=1e-3),
-    )
-    for one in (base, lasting, Effect(OWN, joint, 0.7)):
+    for one in (Effect(CATALOGUE["base_oscillator"], None, 0.1, shape=1.0), Effect(OWN, joint, 0.7)):
         assert Stepper.of(from_model(arm, replace(model, effects=(one,)))) is None
     assert Stepper.of(from_model(arm, model)) is not None
 
@@ -251,7 +247,10 @@ def test_memory_is_what_it_says(joints: int, base: str) -> None:
         place = ffi.from_buffer("double[]", moved)
         clock = np.concatenate([np.zeros(2), [0.6, 0.0, 0.8], np.full(50, filling)])
         times = ffi.from_buffer("double[]", clock)
-        lib.zygos_multibody_advance(native, 1, 3, spring, ffi.NULL, 0, 0.1, torque, 1e-4, 2, place, times, views[2])
+        held = ffi.from_buffer("double[]", np.ones(1))
+        lib.zygos_multibody_advance(
+            native, 1, 3, spring, ffi.NULL, 0, 0.1, torque, 1e-4, 2, place, times, 1, held, views[2]
+        )
         for array, used in ((scratch, room), (moved, 3 + 4 * joints), (clock, 5)):
             np.testing.assert_array_equal(array[used:], filling)
         if base == "free":

@@ -479,9 +479,17 @@ static double within(double x, double limit)
 
 // Torque of a law at a joint per unit coefficient.
 static double torque_of(const zygos_multibody_law_t *law, double rate, double angle, double bent, double reported,
-                        double load)
+                        double load, const double *memory)
 {
+    double sum = 0.0;
     switch (law->form) {
+    case ZYGOS_LAW_BRISTLE:
+        return memory[law->first];
+    case ZYGOS_LAW_SLIDERS:
+        for (uint32_t j = 0; j < (uint32_t)ZYGOS_LAW_SLIDING; j++) {
+            sum += memory[law->first + j];
+        }
+        return sum / (double)ZYGOS_LAW_SLIDING;
     case ZYGOS_LAW_RATE:
         return rate;
     case ZYGOS_LAW_SIZE:
@@ -507,19 +515,60 @@ static double torque_of(const zygos_multibody_law_t *law, double rate, double an
     }
 }
 
+// Rate and angle, before the gear, of what a law at a joint acts on. q: the angles and rates of a packed state.
+static double rate_at(const zygos_multibody_t *self, const zygos_multibody_law_t *law, const double *q, double *angle)
+{
+    const uint32_t n = self->joints;
+    const uint32_t i = law->joint;
+    const double ratio = self->ratio[i];
+    if (law->site == ZYGOS_SITE_LINK) {
+        *angle = ratio * q[i];
+        return q[2u * n + i];
+    }
+    if (law->site == ZYGOS_SITE_SPRING) {
+        *angle = ratio * (q[n + i] - q[i]);
+        return q[3u * n + i] - q[2u * n + i];
+    }
+    *angle = ratio * q[n + i];
+    return q[3u * n + i];
+}
+
+// The states of laws after so many seconds at the rates of a packed state. q: its angles and rates.
+static void remember(const zygos_multibody_t *self, const zygos_multibody_law_t *laws, uint32_t count, const double *q,
+                     double span_s, double *memory)
+{
+    for (uint32_t k = 0; k < count; k++) {
+        const zygos_multibody_law_t *const law = &laws[k];
+        if ((law->form != ZYGOS_LAW_BRISTLE) && (law->form != ZYGOS_LAW_SLIDERS)) {
+            continue;
+        }
+        double angle;
+        double *const z = &memory[law->first];
+        const double way = rate_at(self, law, q, &angle) * span_s / law->shape;
+        if (law->form == ZYGOS_LAW_BRISTLE) {
+            z[0] = z[0] * exp(-fabs(way)) + copysign(-expm1(-fabs(way)), way);
+            continue;
+        }
+        for (uint32_t j = 0; j < (uint32_t)ZYGOS_LAW_SLIDING; j++) {
+            z[j] = within(z[j] + way * (double)ZYGOS_LAW_SLIDING / (double)(j + 1u), 1.0);
+        }
+    }
+}
+
 // Torque of a law on the base per unit coefficient.
 static double torque_on_base(const zygos_multibody_law_t *law, double time, double angle)
 {
     if (law->form == ZYGOS_LAW_SINCE) {
         return (time >= law->shape) ? 1.0 : 0.0;
     }
-    return torque_of(law, 0.0, angle, 0.0, 0.0, 0.0);
+    return torque_of(law, 0.0, angle, 0.0, 0.0, 0.0, NULL);
 }
 
 // Torques of springs on links, on rotors, on links besides, and on the base. force: 3N + 3. q: the angles and rates of
 // a packed state.
 static void act(const zygos_multibody_t *self, const double *spring, const zygos_multibody_law_t *laws, uint32_t count,
-                const double *torque, const double *q, double time, double angle_of_base, double *force)
+                const double *torque, const double *q, double time, double angle_of_base, const double *memory,
+                double *force)
 {
     const uint32_t n = self->joints;
     double *const drive = force + n;
@@ -540,17 +589,10 @@ static void act(const zygos_multibody_t *self, const double *spring, const zygos
         }
         const double bent = q[n + i] - q[i];
         const double ratio = self->ratio[i];
-        double rate = q[3u * n + i];
-        double angle = ratio * q[n + i];
-        if (law->site == ZYGOS_SITE_LINK) {
-            rate = q[2u * n + i];
-            angle = ratio * q[i];
-        } else if (law->site == ZYGOS_SITE_SPRING) {
-            rate = q[3u * n + i] - q[2u * n + i];
-            angle = ratio * bent;
-        }
+        double angle;
+        const double rate = rate_at(self, law, q, &angle);
         const double load = self->rigid[i] ? ratio * drive[i] : force[i];
-        const double acting = law->value * torque_of(law, rate, angle, bent, torque[i], load);
+        const double acting = law->value * torque_of(law, rate, angle, bent, torque[i], load, memory);
         if (law->site == ZYGOS_SITE_LINK) {
             link[i] -= acting;
         } else if (law->site == ZYGOS_SITE_SPRING) {
@@ -589,7 +631,8 @@ static void tide_of(double gradient, const double nadir[3], double tide[9])
 
 void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *spring,
                              const zygos_multibody_law_t *laws, uint32_t count, double gradient, const double *torque,
-                             double step_s, uint64_t steps, double *state, double *clock, double *scratch)
+                             double step_s, uint64_t steps, double *state, double *clock, uint32_t states,
+                             double *memory, double *scratch)
 {
     static const double SHARE[4] = { 0.0, 0.5, 0.5, 1.0 };
     static const double WEIGHT[4] = { 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0 };
@@ -605,7 +648,9 @@ void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t
         double *const time = &clock[CLOCK * piece];
         double *const angle = time + 1;
         double *const nadir = time + 2;
+        double *const bent = &memory[piece * states];
         for (uint64_t k = 0; k < steps; k++) {
+            remember(self, laws, count, x + width, 0.5 * step_s, bent);
             memset(rate, 0, size * sizeof rate[0]);
             memcpy(sum, x, size * sizeof sum[0]);
             double turning[3] = { 0.0, 0.0, 0.0 }; // rate of the base in the stage before; of a planar one the first
@@ -623,7 +668,7 @@ void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t
                     tide_of(gradient, seen, tide);
                 }
                 act(self, spring, laws, count, &torque[piece * joints], at + width, *time + share,
-                    *angle + (self->planar ? share * turning[0] : 0.0), force);
+                    *angle + (self->planar ? share * turning[0] : 0.0), bent, force);
                 derive(self, width, at, force, force + joints, force + 2u * joints, force + 3u * joints,
                        pulled ? tide : NULL, scratch, rate);
                 memcpy(turning, at, width * sizeof turning[0]);
@@ -633,6 +678,7 @@ void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t
                 }
             }
             memcpy(x, sum, size * sizeof x[0]);
+            remember(self, laws, count, x + width, 0.5 * step_s, bent);
             *time += step_s;
             *angle += self->planar ? turned[0] : 0.0;
             if (pulled) {

@@ -25,6 +25,13 @@ enum {
     ZYGOS_LAW_SINE,     ///< sin(s n x), n the gear ratio
     ZYGOS_LAW_COSINE,   ///< cos(s n x)
     ZYGOS_LAW_SINCE,    ///< 1 from s seconds after the start of the run on, 0 before; on the base only
+    ZYGOS_LAW_BRISTLE,  ///< z, where dz = (1 - z sgn dx) dx / s; at joints only
+    ZYGOS_LAW_SLIDERS,  ///< mean of ZYGOS_LAW_SLIDING states, of which state k = 1 .. has dz = dx / s times their
+                        ///< number over k, up to -1 .. 1; at joints only
+};
+
+enum {
+    ZYGOS_LAW_SLIDING = 4, ///< States of a law of sliders.
 };
 
 /// Where a law acts.
@@ -42,8 +49,8 @@ typedef struct {
     uint32_t joint; ///< From 0; on the base the base axis, 0 of a planar arm.
     uint32_t site;  ///< ZYGOS_SITE_...
     uint32_t form;  ///< ZYGOS_LAW_...
-    uint32_t unused;
-    double value; ///< Coefficient.
+    uint32_t first; ///< Place of its first state in the memory of a piece of motion, where the form has states.
+    double value;   ///< Coefficient.
     double shape;
     double width;
 } zygos_multibody_law_t;
@@ -97,10 +104,12 @@ void zygos_multibody_rates(const zygos_multibody_t *self, uint64_t n, uint32_t w
 /// joints, after the gear; 0 of a rigid one. laws: count laws at joints and on the base. gradient: coefficient of the
 /// gravity gradient [1/s^2], of an arm that floats in space; else it does nothing. clock: n x 5: time since the start
 /// of the run [s]; the angle [rad] that the base has turned since then in its plane, which stays as it is of an arm in
-/// space; the unit vector to the Earth in base axes, which stays as it is without a gradient. Changes state and clock.
-/// scratch: as above. Cost: 4 n steps times that of a state.
+/// space; the unit vector to the Earth in base axes, which stays as it is without a gradient. memory: n x states of the
+/// laws that have states; these are held within a step, and follow in half steps before and behind it. Changes state,
+/// clock and memory. scratch: as above. Cost: 4 n steps times that of a state.
 void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *spring,
                              const zygos_multibody_law_t *laws, uint32_t count, double gradient, const double *torque,
-                             double step_s, uint64_t steps, double *state, double *clock, double *scratch);
+                             double step_s, uint64_t steps, double *state, double *clock, uint32_t states,
+                             double *memory, double *scratch);
 
 #endif

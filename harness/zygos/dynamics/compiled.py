@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The equations of motion of `zygos.dynamics.serial`, compiled (c/ports/host/multibody.c), and steps of time.
 
-For steps of time the catalogue's laws without a memory are compiled; elsewhere effects follow their laws in Python. The
-compiled code computes the same matrix in a different order, and shares no code with the library that estimates.
+For steps of time the catalogue's laws are compiled, but for an oscillator; elsewhere effects follow their laws in
+Python. The compiled code computes the same matrix in a different order, and shares no code with the library that
+estimates.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from zygos.balances.kinematics import posture
 from zygos.dynamics.joints import START, Drives, Moment
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.serial import SpatialDynamics
-from zygos.effects import COMPILED
+from zygos.effects import compiled_form
 from zygos.native.flight import ffi, lib
 
 Array = NDArray[np.float64]
@@ -115,12 +116,13 @@ def _laws(dynamics: Drives) -> Any:
     laws = [*(law for law, _, _ in dynamics.acting), *dynamics.base_laws]
     native = ffi.new("zygos_multibody_law_t[]", len(laws))
     for one, law in zip(native, laws, strict=True):
-        assert law.kind.law is not None
-        form = COMPILED[law.kind.law]
+        form = compiled_form(law.kind)
+        assert form is not None
         site = getattr(lib, f"ZYGOS_SITE_{law.kind.place.upper()}")
         at = law.joint if law.joint >= 0 else law.component
         one.joint, one.site, one.form = at, site, getattr(lib, f"ZYGOS_LAW_{form.name}")
         one.value, one.shape, one.width = law.value, law.shape if form.shape is None else form.shape, form.width
+        one.first = dynamics.places[law].start if law.kind.memory else 0
     return native
 
 
@@ -142,7 +144,7 @@ class Stepper:
         by another engine."""
         if not isinstance(dynamics, Planar | Multibody) or dynamics.later is not None:
             return None
-        known = all(law.kind.law in COMPILED for law in (*dynamics.laws, *dynamics.base_laws))
+        known = all(compiled_form(law.kind) is not None for law in (*dynamics.laws, *dynamics.base_laws))
         return cls(dynamics) if known else None
 
     def advance(self, state: Array, torque: Array, step_s: float, steps: int, now: Moment) -> tuple[Array, Moment]:
@@ -151,6 +153,7 @@ class Stepper:
         width = state.shape[1] - 4 * n
         after = np.array(state, dtype=np.float64, order="C")
         held = np.ascontiguousarray(np.broadcast_to(torque, (len(state), n)))
+        memory = np.zeros((len(state), 1)) if now.memory is None else np.real(now.memory).copy()
         clock = np.zeros((len(state), 5))
         clock[:, 0], clock[:, 1] = now.time, now.angle
         if now.nadir is not None:
@@ -168,10 +171,13 @@ class Stepper:
             steps,
             ffi.from_buffer("double[]", after),
             ffi.from_buffer("double[]", clock),
+            memory.shape[1],
+            ffi.from_buffer("double[]", memory),
             self._scratch,
         )
         nadir = None if now.nadir is None else clock[:, 2:]
-        return after, replace(now, time=clock[:, 0], angle=clock[:, 1], nadir=nadir)
+        bent = None if now.memory is None else memory.astype(np.complex128)
+        return after, replace(now, time=clock[:, 0], angle=clock[:, 1], nadir=nadir, memory=bent)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -220,7 +220,7 @@ class Drives(ABC):
         return tuple(law for law in (*self.laws, *self.base_laws) if law.kind.memory is not None)
 
     @cached_property
-    def _places(self) -> dict[Law, slice]:
+    def places(self) -> dict[Law, slice]:
         """Where the internal states of each stand in `Moment.memory`."""
         sizes = [law.kind.memory.size for law in self.remembering if law.kind.memory is not None]
         ends = np.cumsum([0, *sizes]).tolist()
@@ -237,7 +237,7 @@ class Drives(ABC):
         for law in self.remembering:
             memory = law.kind.memory
             assert memory is not None
-            out.append((law, memory, self._places[law], *memory.rates(self._motion(law, state), law.shape)))
+            out.append((law, memory, self.places[law], *memory.rates(self._motion(law, state), law.shape)))
         return out
 
     def memory_derivative(self, state: State, memory: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -275,7 +275,7 @@ class Drives(ABC):
         """What a law depends on."""
         i, own = law.joint, UNKNOWN
         if law.kind.memory is not None and moment.memory is not None:
-            own = moment.memory[..., self._places[law]]
+            own = moment.memory[..., self.places[law]]
         elif law.kind.memory is not None:
             own = np.zeros((*state.q.shape[:-1], law.kind.memory.size))
         if i < 0:

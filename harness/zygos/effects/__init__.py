@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The catalogue of effects beyond rigid bodies, rotors and linear springs, and effects in a model."""
 
-from zygos.effects.catalogue import CATALOGUE, COMPILED, ENTRIES, GAIN, OFFSET, Catalogue, laws, load_laws
+from zygos.effects.catalogue import CATALOGUE, ENTRIES, GAIN, OFFSET, Catalogue, compiled_form, laws, load_laws
 from zygos.effects.effect import (
     Effect,
     EffectColumn,
@@ -22,7 +22,6 @@ from zygos.effects.motion import UNKNOWN, Motion
 
 __all__ = [
     "CATALOGUE",
-    "COMPILED",
     "ENTRIES",
     "GAIN",
     "OFFSET",
@@ -39,6 +38,7 @@ __all__ = [
     "column_name",
     "column_named",
     "columns_at",
+    "compiled_form",
     "effect",
     "estimated",
     "gains",

@@ -166,7 +166,7 @@ COMPILED: Mapping[Callable[[Motion, float], Array], Form] = {
     _double_sine: Form("SINE", shape=2.0),
     _double_cosine: Form("COSINE", shape=2.0),
 }
-"""Laws at joints and on the base that are compiled as well."""
+"""Laws without a memory, at joints and on the base, that are compiled as well."""
 
 
 def _bristle_rates(motion: Motion, distance: float) -> tuple[Array, Array]:
@@ -182,6 +182,21 @@ def _slider_rates(motion: Motion, distance: float) -> tuple[Array, Array]:
 def _bent(motion: Motion, _distance: float) -> Array:
     """Of all states, which bend alike."""
     return np.asarray(np.real(motion.memory).mean(axis=-1))
+
+
+_COMPILED_MEMORIES: Mapping[Callable[[Motion, float], tuple[Array, Array]], Form] = {
+    _bristle_rates: Form("BRISTLE"),
+    _slider_rates: Form("SLIDERS"),
+}
+
+
+def compiled_form(kind: Kind) -> Form | None:
+    """The law of an entry as c/ports/host/multibody.c has it; None where it does not."""
+    if kind.law is None:
+        return None
+    if kind.memory is None:
+        return COMPILED.get(kind.law)
+    return _COMPILED_MEMORIES.get(kind.memory.rates) if kind.law is _bent and kind.place != "base" else None
 
 
 def _oscillator_rates(motion: Motion, frequency: float) -> tuple[Array, NDArray[np.complex128]]:
