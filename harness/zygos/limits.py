@@ -340,7 +340,8 @@ EXPLAINS_MOST = Limit("explains most", 0.5, "1", "trial",
 SEEN_Z = Limit("seen z", 3.0, "1", "trial",
     "The standard deviations that such a candidate needs.")
 FAR = Limit("far", 4.0, "1", "trial",
-    "What must be left over then on each run, in units of noise.")
+    "What must be left over then over all runs, in units of noise; and from which on the usual friction stays in the "
+    "model, whether it is named or not.")
 NOISE = Limit("noise", 1.3, "1", "trial",
     "Mean square of a residual, in units of that of noise, from which on there is something to explain.")
 KEPT_Z = Limit("kept z", 3.0, "1", "trial",

@@ -290,17 +290,14 @@ def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_pa
         for name, unit in zip(arm.parameter_names, arm.parameter_units, strict=True)
     }
     x = explain_ground(arm, Model("published without friction", parameters=base), runs[:3], runs[3:])
-    # the torques are predicted as well as by the plain estimate, and the work of recording 03 is not
-    assert isinstance(x.verdict, PlainEstimate), x.sentence
-    assert all("the work in one second" in check.name for check in x.verdict.failed)
-    found = {(f.kind, f.joint): f for f in x.verdict.findings}
-    assert set(found) == {
-        ("motor_coulomb", "shoulder"),
-        ("motor_coulomb", "elbow"),
-        ("rotor_inertia", "elbow"),
-    }
-    for joint in ("shoulder", "elbow"):
-        assert 6.0 * found["motor_coulomb", joint].value == pytest.approx(0.14, abs=0.015)
+    assert x.answer == "part named", x.sentence
+    assert {(f.kind, f.joint) for f in x.findings} == {("motor_coulomb", "elbow"), ("rotor_inertia", "elbow")}
+    assert x.model is not None
+    # at the shoulder the runs disagree too much for a name, and the model has it with its wide interval
+    rubbed = {e.joint: e for e in x.model.effects if e.kind.key == "motor_coulomb"}
+    for joint, published in (("shoulder", 0.02435), ("elbow", 0.02042)):
+        assert abs(rubbed[joint].value - published) < 2.0 * rubbed[joint].sigma < published
+    assert "not sure enough" in rubbed["shoulder"].evidence and "not sure enough" in " ".join(x.notes)
     assert x.gap is not None
     shares = [(p.delivered.arm_energy_share, p.closed.arm_energy_share) for p in x.gap.predictions]
     assert shares[0][0] > 0.8

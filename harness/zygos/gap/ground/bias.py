@@ -22,7 +22,9 @@ def confirmed(simulation: Model, table: Table, found: Search, model: Stage, know
     if not found.named:
         return found
     places = {one.name: table.layout.at(one.name) for one in found.named if not is_gain(one.candidate)}
-    layout = Layout.of(table.layout.arm, simulation, [one.candidate for one in found.named], table.layout.runs)
+    free = set(found.free(table.layout))
+    kept = [one for one in table.layout.candidates if table.layout.at(one.name) in free]
+    layout = Layout.of(table.layout.arm, simulation, kept, table.layout.runs)
     twins = [known.of(rows.motion, model.values, model.effects) for rows in table.rows]
     there = table_of(layout, twins, table.span_s, [predicted_load(twin, model.values) for twin in twins])
     shared = [layout.at(table.layout.names[k]) for k in found.after.free if k < table.layout.shared]

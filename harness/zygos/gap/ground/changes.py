@@ -53,13 +53,13 @@ def find_change(table: Table, fitted: Fit) -> tuple[Change, Fit] | None:
     values, z = _certain(weighted, cut, of, prior, group[2], delta)
     if share < limits.CHANGE_TAKES.value or z < limits.CHANGE_Z.value:
         return None
-    old = group[2].T @ (fitted.x + np.append(table.layout.start, np.zeros(len(fitted.x) - table.layout.shared)))
-    old = old if group[0] != BODIES else np.zeros(len(delta))
     between = bool(owner[cut] != owner[cut - 1])
     blocks = int(np.count_nonzero(owner[:cut] == owner[cut]))
     stepped = after[cut][:, :-1] @ group[2]
     x = np.zeros_like(fitted.x)
     x[of] = solve(total[np.ix_(of, of)], prior, (total[of, -1] - stepped[of] @ delta)[:, None])[:, 0]
+    start = np.append(table.layout.start, np.zeros(len(x) - table.layout.shared))
+    old = group[2].T @ (x + start) if group[0] != BODIES else np.zeros(len(delta))
     change = Change(
         what=group[0],
         run=int(owner[cut]),

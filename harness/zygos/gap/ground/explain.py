@@ -28,7 +28,7 @@ from zygos.gap.ground.form import form_sigmas
 from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, beside_all, in_time, is_gain, search
-from zygos.gap.ground.sentences import entry_evidence, gains, offset
+from zygos.gap.ground.sentences import entry_evidence, gains, offset, unnamed
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
 from zygos.gap.ground.timing import lateness, torque_constants
 from zygos.gap.verdicts import (
@@ -59,6 +59,8 @@ from zygos.runs.cycles import Cycles
 Floats = NDArray[np.float64]
 
 COULOMB = "motor_coulomb"
+BESIDE = "usual, and not sure enough to be named"
+"""Evidence of an effect that stays in a model."""
 
 
 def explain_ground(
@@ -145,8 +147,10 @@ class _Explainer:
         verdict = verdict or self._judge(found, findings, values_found, gap, left)
         known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques | WrongGravity)
         self.step(0.95, "verdict")
-        likely = self._model(table, found, findings, values_found, verdict) if known else None
+        likely = self._model(table, found, findings, values_found, sizes, verdict) if known else None
         adopted, verdict = self._through_the_gate(likely, verdict, findings, gap)
+        if adopted is not None and adopted.model is likely and (more := found.unnamed(table.layout)):
+            self.notes.append(unnamed(self.arm, [one.name for one in more]))
         if adopted is not None and adopted.model is not likely:
             values_found = self._values_of(adopted.model)
             if gap is not None:
@@ -239,15 +243,15 @@ class _Explainer:
         return np.asarray(table.layout.start[:own] + found.after.x[:own], dtype=np.float64)
 
     def _explains_more(self, wider: tuple[Table, Search], usual: tuple[Table, Search]) -> bool:
-        """Whether a search among more entries leaves a good deal less over on every run that was learned from.
+        """Whether a search among more entries leaves a good deal less over of the runs that were learned from.
 
         Each joint counts in units of its noise: the residual of a large one would hide what the others show."""
         names = {one.name for one in usual[1].named}
         if all(one.name in names for one in wider[1].named):
             return False
         unit = np.fmin(wider[0].floor, usual[0].floor) ** 2
-        after, before = (residual(table, found.after.x) / unit for table, found in (wider, usual))
-        return bool(np.all(after.sum(axis=1) < limits.LATE_LEAVE.value * before.sum(axis=1)))
+        after, before = (float(np.sum(residual(table, found.after.x) / unit)) for table, found in (wider, usual))
+        return after < limits.LATE_LEAVE.value * before
 
     def _in_nm(self, motions: Sequence[Motion], span: float) -> list[Motion]:
         """The motions with currents turned into torques; the runs as well."""
@@ -415,7 +419,13 @@ class _Explainer:
         )
 
     def _model(
-        self, table: Table, found: Search, findings: tuple[Finding, ...], values: tuple[Value, ...], verdict: Verdict
+        self,
+        table: Table,
+        found: Search,
+        findings: tuple[Finding, ...],
+        values: tuple[Value, ...],
+        sizes: _Sizes,
+        verdict: Verdict,
     ) -> Model:
         by_name = {value.name: value for value in values}
         parameters = {}
@@ -449,6 +459,12 @@ class _Explainer:
                         evidence=entry_evidence(finding),
                     )
                 )
+        for candidate in found.unnamed(table.layout):
+            size, sigma = sizes.at(candidate.name)
+            if candidate.effect is None:
+                parameters[candidate.name] = Quantity(size, sigma, "zygos", candidate.unit)
+            else:
+                effects.append(replace(candidate.effect, value=size, sigma=sigma, source="zygos", evidence=BESIDE))
         if isinstance(verdict, Changed):
             effects += self._begun(table, verdict, [effect.column(self.arm) for effect in effects])
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(effects))

@@ -36,7 +36,7 @@ class Scores:
     value: Floats
     """(C,)"""
     sigma: Floats
-    """(C,) from leaving out one block of time after the other."""
+    """(C,) from leaving out one block of time after the other, and from what the runs disagree beyond that."""
     freedom: Floats
     """(C,) degrees of freedom of sigma."""
     gain: Floats
@@ -96,6 +96,7 @@ def score(table: Table, fitted: Fit, columns: Sequence[int]) -> Scores:
     blocks = table.blocks
     shift = without - value
     sigma = np.sqrt((blocks - 1) / blocks * np.nansum(shift**2, axis=0))
+    sigma = np.fmax(sigma, _over_runs(each, of, tried, prior))
     gains = np.maximum(np.nan_to_num(inverse_without - inverse), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = gains.sum(axis=0) ** 2 / (gains**2).sum(axis=0)
@@ -118,7 +119,7 @@ def score(table: Table, fitted: Fit, columns: Sequence[int]) -> Scores:
 
 def jackknife(table: Table, fitted: Fit) -> tuple[Floats, Floats, Floats]:
     """(f, f) covariance of the free columns of a fit from leaving out blocks, (f,) its degrees of freedom, and (f,)
-    standard deviations from leaving out a run (0 where there are fewer than three)."""
+    standard deviations where the coefficients are others in each run."""
     if any(place in fitted.free for _, place in table.layout.gains):
         table = table.with_gains(fitted.x)
     of = np.array(fitted.free)
@@ -135,17 +136,12 @@ def jackknife(table: Table, fitted: Fit) -> tuple[Floats, Floats, Floats]:
     gains = np.maximum(np.array(variances) - np.diag(_inverse(total[np.ix_(of, of)], prior)), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = gains.sum(axis=0) ** 2 / (gains**2).sum(axis=0)
-    spread = np.zeros(len(of))
-    runs = table.layout.runs
-    if runs > 2:
-        own_runs = []
-        for run in range(runs):
-            rest = weighted[table.owner != run].sum(axis=0)
-            own_runs.append(solve(rest[np.ix_(of, of)], prior, rest[of, -1:])[:, 0])
-        far = np.array(own_runs) - np.mean(own_runs, axis=0)
-        spread = np.sqrt((runs - 1) / runs * np.sum(far**2, axis=0))
+    each = np.stack([weighted[table.owner == run].sum(axis=0) for run in range(table.layout.runs)])
+    matrix = total[np.ix_(of, of)]
+    x = solve(matrix, prior, total[of, -1:])
+    pulls = _inverse(matrix, prior) @ (each[:, of, -1:] - each[:, of[:, None], of] @ x)[..., 0].T
     covariance = (blocks - 1) / blocks * shift.T @ shift
-    return covariance, np.clip(np.nan_to_num(freedom, nan=2.0), 2.0, blocks - 1), spread
+    return covariance, np.clip(np.nan_to_num(freedom, nan=2.0), 2.0, blocks - 1), _spread(pulls.T)
 
 
 def unknown(table: Table, fitted: Fit) -> Floats:
@@ -211,6 +207,28 @@ def _alone(
         # the median of a few blocks would hide the one that says something else
         sigmas.append(np.sqrt((blocks - 1) / blocks * np.nansum((others - value) ** 2, axis=0)))
     return np.array(values), np.array(sigmas)
+
+
+def _over_runs(each: Floats, of: NDArray[np.int64], tried: NDArray[np.int64], prior: Floats) -> Floats:
+    """(C,) standard deviation of each column beside the others where its coefficient is another one in each run.
+
+    each: (R, W, W) sums of the runs.
+    """
+    total = each.sum(axis=0)
+    value, inverse, slope, start = (one[0] for one in _beside(total[None], of, tried, prior))
+    pulls = np.zeros((len(each), len(tried)))
+    for k in np.flatnonzero(np.isfinite(value)):
+        at, direction = np.append(of, tried[k]), np.append(-slope[:, k], 1.0)
+        x = np.append(start - slope[:, k] * value[k], value[k])
+        pulls[:, k] = (each[:, at, -1] - each[:, at[:, None], at] @ x) @ direction * inverse[k]
+    return _spread(pulls)
+
+
+def _spread(pulls: Floats) -> Floats:
+    """(C,) standard deviation of the mean of coefficients that are random over runs, from how far each of R runs pulls
+    it (R, C): a run counts as much as it shows. 0 of a single run."""
+    runs = len(pulls)
+    return np.asarray(np.sqrt(runs / max(runs - 1, 1) * np.sum(pulls**2, axis=0)) * (runs > 1), dtype=np.float64)
 
 
 def _transferred(

@@ -42,12 +42,13 @@ def form_sigmas(simulation: Model, table: Table, found: Search, model: Stage, kn
     known = [
         (one.name, abs(float(found.after.x[table.layout.at(own.law.name)]))) for own in parted for one in own.columns
     ]
-    columns = [*listed, *(one for own in parted for one in own.columns)]
+    beside = found.unnamed(table.layout)
+    columns = [*listed, *beside, *(one for own in parted for one in own.columns)]
     layout = replace(Layout.of(table.layout.arm, simulation, columns, len(motions)), known=tuple(known))
     measured, null = (
         table_of(layout, of, table.span_s, load) for of, load in zip((motions, twins), loads, strict=True)
     )
-    named = [one.name for one in listed]
+    named = [one.name for one in (*listed, *beside)]
     return {own.law.name: own.sigma(measured, null, named) for own in parted}
 
 

@@ -93,20 +93,20 @@ def next_ground_motion(
 
     def judge(scenario: Scenario) -> float:
         motion = Motion.of(flown(scenario))
-        kept = {one.name for one in found.search.named} | {other for _, other in columns}
+        kept = {*found.search.beside, *(one.name for one in found.search.named), *(other for _, other in columns)}
         listed = [one for one in candidates_of(arm, found.simulation) if one.name in kept]
         layout = Layout.of(arm, found.simulation, listed, 1)
         load = predicted_load(motion, model.base_values(arm))
         table = table_of(layout, [motion], found.span_s, [load])
-        named = [layout.at(one.name) for one in found.search.named]
-        fitted = fit(table, [*layout.basis, *named])
+        known = found.search.free(layout)
+        fitted = fit(table, known)
         scores = []
         for one in rests:
             seen = np.array([*phases(table, table.rows[0], fitted, _at(arm, one))])
             scores.append(abs(one.value) / float(seen.std(ddof=1)) if len(seen) >= limits.PHASES.value else 0.0)
         for one, other in columns:
             own = next(names_[0] for names_ in found.search.sets if other in names_[1:])
-            both = fit(table, [*layout.basis, *dict.fromkeys([*named, layout.at(other)])])
+            both = fit(table, [*dict.fromkeys([*known, layout.at(other)])])
             sigma = dict(zip(both.free, np.sqrt(np.diag(jackknife(table, both)[0])).tolist(), strict=True))
             sizes = ((layout.at(own), one.value), (layout.at(other), _size(found, other)))
             scores += [abs(size) / sigma[place] for place, size in sizes]

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos import limits
-from zygos.gap.findings import ROTOR_INERTIA
 from zygos.gap.ground.candidates import GAIN, Candidate
-from zygos.gap.ground.columns import Table
-from zygos.gap.ground.fit import Fit, Scores, fit, jackknife, score
+from zygos.gap.ground.columns import Layout, Table
+from zygos.gap.ground.fit import Fit, Scores, fit, jackknife, residual, score
+from zygos.ground.estimate import DEFAULT_FRICTION
 from zygos.quantiles import normal_isf, normal_sf, student_isf
 
 Floats = NDArray[np.float64]
-Against = Literal["insignificant", "inconsistent", "negative", "too late", "not transferable", "immaterial"]
+Against = Literal["insignificant", "negative", "too late", "immaterial"]
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,20 @@ class Search:
     """For each that was named, its column and those that the runs cannot tell from it."""
     rounds: tuple[tuple[Tried, ...], ...]
     """Candidates of each round, the best first."""
+    beside: tuple[str, ...] = ()
+    """Columns of the usual friction and of rotors that stay in the model, whether they are named or not."""
     last: tuple[Tried, ...] = ()
     """Every entry of the catalogue beside what was named, the best first; empty where one of those that are searched
     last was named."""
+
+    def free(self, layout: Layout) -> list[int]:
+        """Columns of the simulation's own equations, and of what was named or stays beside."""
+        return _free(layout, self.beside, [one.name for one in self.named])
+
+    def unnamed(self, layout: Layout) -> list[Candidate]:
+        """What stays in the model without being named."""
+        staying = set(self.beside) - {one.name for one in self.named}
+        return [one for one in layout.candidates if one.name in staying]
 
     @property
     def nearest(self) -> Tried | None:
@@ -103,18 +114,15 @@ def search(table: Table, step: Callable[[str], None], begun: Search | None = Non
     """Add one candidate after the other. begun: a search on nearly the same sums, whose names are kept."""
     layout = table.layout
     before = fit(table, layout.basis)
-    names = [one.name for one in begun.named] if begun is not None else []
-    sets = list(begun.sets) if begun is not None else []
+    beside = _beside(table) if begun is None else begun.beside
+    names = [one.name for one in begun.named if one.name not in beside] if begun is not None else []
+    sets = [group for group in begun.sets if group[0] in names] if begun is not None else []
     rounds = list(begun.rounds[:-1]) if begun is not None else []
-    free = [*layout.basis, *(layout.at(name) for name in names)]
-    fitted = fit(table, free)
+    fitted = fit(table, _free(layout, beside, names))
     if names:
-        kept, sets = _retested(table, fitted, names, sets)
-        if kept != names:
-            names, free = kept, [*layout.basis, *(layout.at(name) for name in kept)]
-            fitted = fit(table, free)
+        names, sets, fitted = _retested(table, fitted, beside, names, sets)
     for _ in range(limits.MOST_TERMS.value):
-        taken = {(one.key, one.joint) for one in layout.candidates if one.name in names}
+        taken = {(one.key, one.joint) for one in layout.candidates if one.name in (*names, *beside)}
         open_ones = [one for one in layout.candidates if (one.key, one.joint) not in taken]
         if not open_ones:
             break
@@ -127,22 +135,88 @@ def search(table: Table, step: Callable[[str], None], begun: Search | None = Non
         added = [one.name for one in open_ones if is_gain(one)] if is_gain(best.candidate) else [best.name]
         sets += [(name, *(_alike(table, fitted, best, rounds[-1]) if name == best.name else ())) for name in added]
         names += added
-        free += [layout.at(name) for name in added]
-        fitted = fit(table, free)
-        kept, sets = _retested(table, fitted, names, sets)
-        if kept != names:
-            names, free = kept, [*layout.basis, *(layout.at(name) for name in kept)]
-            fitted = fit(table, free)
-    named = tuple(_beside_the_others(table, names))
-    return Search(before, fitted, named, tuple(sets), tuple(rounds))
+        fitted = fit(table, _free(layout, beside, names))
+        names, sets, fitted = _retested(table, fitted, beside, names, sets)
+    stays, alike = _earned(table, beside, names)
+    if rounds:
+        rounds[0] = tuple(sorted((*rounds[0], *stays), key=lambda one: (not one.passes, -one.gain)))
+    earned = [one for one in stays if one.passes]
+    beside = _needed(table, [one.name for one in earned], beside, names)
+    fitted = fit(table, _free(layout, beside, names))
+    named = (*earned, *_beside_the_others(table, beside, names))
+    return Search(before, fitted, named, (*alike, *sets), tuple(rounds), beside)
+
+
+def _needed(table: Table, earned: Sequence[str], beside: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """What stays in the model with what was named: all that is not below zero, where far more than noise is left over
+    without it."""
+    layout, kept = table.layout, list(beside)
+    without_it = fit(table, _free(layout, earned, names))
+    if not np.any(_far(table, residual(table, without_it.x))):
+        return tuple(earned)
+    while True:
+        x = fit(table, _free(layout, kept, names)).x
+        below = [name for name in kept if name not in earned and x[layout.at(name)] < 0.0]
+        if not below:
+            return tuple(kept)
+        kept = [name for name in kept if name not in below]
+
+
+def _free(layout: Layout, *names: Sequence[str]) -> list[int]:
+    return [*layout.basis, *dict.fromkeys(layout.at(name) for each in names for name in each)]
+
+
+def _beside(table: Table) -> tuple[str, ...]:
+    """The usual friction and the rotors that a simulation lacks, where with all of them far more than noise is left
+    over: each is then found beside the others, because one alone would take up what others do. None below zero."""
+    layout = table.layout
+    usual = [one for one in layout.candidates if one.key in DEFAULT_FRICTION or one.effect is None]
+    while usual:
+        fitted = fit(table, _free(layout, [one.name for one in usual]))
+        if not np.any(_far(table, residual(table, fitted.x))):
+            return ()
+        places = [layout.at(one.name) for one in usual]
+        size = np.sqrt(np.einsum("j,bjpp->p", 1.0 / fitted.sigma**2, table.gram)[places]) * fitted.x[places]
+        worst = int(np.argmin(size))
+        if size[worst] >= 0.0:
+            break
+        del usual[worst]
+    return tuple(one.name for one in usual)
+
+
+def _far(table: Table, left: Floats) -> NDArray[np.bool_]:
+    """(N,) where a mean square residual (R, N) is far above noise over all runs."""
+    return np.asarray(np.mean(left / table.floor**2, axis=0) > limits.FAR.value**2)
+
+
+def _earned(table: Table, beside: Sequence[str], names: Sequence[str]) -> tuple[list[Tried], list[tuple[str, ...]]]:
+    """What stays in the model, each judged beside all others, and the sets of those that pass."""
+    layout = table.layout
+    by_name = {one.name: one for one in layout.candidates}
+    taken = {(by_name[name].key, by_name[name].joint) for name in (*beside, *names)}
+    stays, alike = list[Tried](), list[tuple[str, ...]]()
+    for name in beside:
+        fitted = fit(table, _free(layout, [other for other in beside if other != name], names))
+        one = _judged(table, score(table, fitted, [layout.at(name)]), 0, by_name[name], threshold(len(by_name)))
+        stays.append(one)
+        if one.passes:
+            others = [
+                other
+                for other in layout.candidates
+                if other.joint == one.candidate.joint and (other.key, other.joint) not in taken
+            ]
+            tried = try_all(table, fitted, others) if others else []
+            alike.append((name, *_alike(table, fitted, one, tried)))
+    return stays, alike
 
 
 def without(table: Table, found: Search, left_out: Sequence[str]) -> Search:
     """A search without some of what it named."""
+    beside = tuple(name for name in found.beside if name not in left_out)
     names = [one.name for one in found.named if one.name not in left_out]
-    fitted = fit(table, [*table.layout.basis, *(table.layout.at(name) for name in names)])
+    fitted = fit(table, _free(table.layout, beside, names))
     sets = tuple(group for group in found.sets if group[0] in names)
-    return replace(found, after=fitted, named=tuple(_beside_the_others(table, names)), sets=sets)
+    return replace(found, after=fitted, named=tuple(_beside_the_others(table, beside, names)), sets=sets, beside=beside)
 
 
 def in_time(table: Table, found: Search) -> Search:
@@ -158,10 +232,10 @@ def in_time(table: Table, found: Search) -> Search:
 def beside_all(table: Table, found: Search) -> Search:
     """A search with every other candidate of a table beside what it named: an entry that a wider search named, and that
     was not kept, has a limit as well."""
-    layout, names = table.layout, [one.name for one in found.named]
-    taken = {(one.candidate.key, one.candidate.joint) for one in found.named}
+    layout, names = table.layout, {*found.beside, *(one.name for one in found.named)}
+    taken = {(one.key, one.joint) for one in layout.candidates if one.name in names}
     listed = [one for one in layout.candidates if (one.key, one.joint) not in taken]
-    fitted = fit(table, [*layout.basis, *(layout.at(name) for name in names)])
+    fitted = fit(table, found.free(layout))
     tried = try_all(table, fitted, listed) if listed else []
     return replace(found, last=tuple(sorted(tried, key=lambda one: (not one.passes, -one.gain))))
 
@@ -175,11 +249,10 @@ def try_all(table: Table, fitted: Fit, candidates: Sequence[Candidate]) -> list[
 
 def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float) -> Tried:
     value, sigma, z = float(scores.value[k]), float(scores.sigma[k]), float(scores.z[k])
-    each, each_sigma = scores.alone[:, k], scores.alone_sigma[:, k]
     # values of bodies give way to a wrong gain, so that other joints show it as well
-    explained, worst = _explained(table, scores, k, range(table.layout.arm.n) if is_gain(one) else (one.joint,))
+    explained = _explained(table, scores, k, range(table.layout.arm.n) if is_gain(one) else (one.joint,))
     against: Against | None = None
-    far = bool(np.all(scores.before[:, one.joint] > (limits.FAR.value * table.floor[:, one.joint]) ** 2))
+    far = bool(_far(table, scores.before)[one.joint])
     if not np.isfinite(sigma) or abs(z) < (
         limits.SEEN_Z.value if far and explained > limits.EXPLAINS_MOST.value else needed
     ):
@@ -188,10 +261,6 @@ def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float)
         against = "negative"
     elif _too_late(table, one, value):
         against = "too late"
-    elif not _agrees(table, value, sigma, each, each_sigma):
-        against = "inconsistent"
-    elif worst < 0.0 and one.key != ROTOR_INERTIA:
-        against = "not transferable"
     elif explained < limits.MATERIAL.value:
         against = "immaterial"
     limit = float(student_isf(normal_sf(needed), scores.freedom[k]) * sigma)
@@ -202,7 +271,7 @@ def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float)
         float(scores.freedom[k]),
         z,
         float(scores.gain[k]),
-        tuple(each.tolist()),
+        tuple(scores.alone[:, k].tolist()),
         explained,
         limit,
         against,
@@ -214,32 +283,14 @@ def _too_late(table: Table, one: Candidate, value: float) -> bool:
     return one.effect is not None and one.effect.kind.lags and value >= table.layout.arm.period_s
 
 
-def _agrees(table: Table, value: float, sigma: float, each: Floats, each_sigma: Floats) -> bool:
-    """Whether every run by itself has the same sign and size, as far as it shows the candidate."""
-    blocks = np.bincount(table.owner, minlength=len(each))
-    for own, wide, count in zip(each.tolist(), each_sigma.tolist(), blocks.tolist(), strict=True):
-        if not np.isfinite(own):
-            continue
-        # a standard deviation from few blocks is not known well itself
-        limit = student_isf(normal_sf(limits.AGREE_Z.value), max(2.0, 0.5 * count)) * np.hypot(wide, sigma)
-        if abs(own - value) > max(limit, limits.AGREE_SHARE.value * abs(value)):
-            return False
-        if own * value < 0.0 and abs(own) > 2.0 * wide:
-            return False
-    return True
-
-
-def _explained(table: Table, scores: Scores, k: int, joints: Sequence[int]) -> tuple[float, float]:
+def _explained(table: Table, scores: Scores, k: int, joints: Sequence[int]) -> float:
     """Share of the squared residual beyond noise at joints that a candidate takes away over all runs, each joint in
-    units of its noise, and the least change on a run that shows it."""
+    units of its noise."""
     unit = table.floor[:, joints] ** 2
     before, after = scores.before[:, joints] / unit, scores.after[:, k][:, joints] / unit
     rest = np.maximum(before - limits.NOISE.value, 0.0)
-    shows = np.isfinite(scores.alone[:, k]) & (np.abs(scores.value[k]) > 2.0 * scores.alone_sigma[:, k])
-    better = np.sum(before - after, axis=1)
-    whole = float(rest.sum())
-    share = float(better.sum()) / whole if whole > 0.0 else float(np.sign(better.sum()))
-    return share, float(np.min(better[shows], initial=0.0))
+    better, whole = float(np.sum(before - after)), float(rest.sum())
+    return better / whole if whole > 0.0 else float(np.sign(better))
 
 
 def _alike(table: Table, fitted: Fit, best: Tried, tried: Sequence[Tried]) -> list[str]:
@@ -257,32 +308,33 @@ def _alike(table: Table, fitted: Fit, best: Tried, tried: Sequence[Tried]) -> li
 
 
 def _retested(
-    table: Table, fitted: Fit, names: list[str], sets: list[tuple[str, ...]]
-) -> tuple[list[str], list[tuple[str, ...]]]:
-    """What was named, without what beside the others is not significant any more, negative or too late."""
+    table: Table, fitted: Fit, beside: Sequence[str], names: list[str], sets: list[tuple[str, ...]]
+) -> tuple[list[str], list[tuple[str, ...]], Fit]:
+    """What was named, without what beside the others is not significant any more, negative or too late, and its fit."""
     by_name = {one.name: one for one in table.layout.candidates}
-    covariance, freedom, _ = jackknife(table, fitted)
+    covariance, freedom, spread = jackknife(table, fitted)
+    each = np.fmax(np.sqrt(np.maximum(np.diag(covariance), 1e-300)), spread)
     kept = list(names)
     for name in names[:-1]:
         if is_gain(by_name[name]):
             continue
         place = table.layout.at(name)
         k = fitted.free.index(place)
-        value, sigma = float(fitted.x[place]), float(np.sqrt(max(covariance[k, k], 1e-300)))
+        value, sigma = float(fitted.x[place]), float(each[k])
         weak = abs(value) < student_isf(normal_sf(limits.KEPT_Z.value), freedom[k]) * sigma
         if weak or (by_name[name].positive and value < 0.0) or _too_late(table, by_name[name], value):
             kept.remove(name)
-    return kept, [group for group in sets if group[0] in kept]
+    fitted = fitted if kept == names else fit(table, _free(table.layout, beside, kept))
+    return kept, [group for group in sets if group[0] in kept], fitted
 
 
-def _beside_the_others(table: Table, names: Sequence[str]) -> list[Tried]:
+def _beside_the_others(table: Table, beside: Sequence[str], names: Sequence[str]) -> list[Tried]:
     """What was named, each beside all others."""
     by_name = {one.name: one for one in table.layout.candidates}
-    out, sigma = list[Tried](), None
+    out = list[Tried]()
     for name in names:
-        others = [table.layout.at(other) for other in names if other != name]
-        fitted = fit(table, [*table.layout.basis, *others], sigma)
-        out.append(try_all(table, fitted, [by_name[name]])[0])
+        others = [other for other in (*beside, *names) if other != name]
+        out.append(try_all(table, fit(table, _free(table.layout, others)), [by_name[name]])[0])
     return out
 
 

@@ -27,12 +27,10 @@ from zygos.gap.verdicts import (
 from zygos.report.figures import figure
 
 _AGAINST: dict[Against, str] = {
-    "insignificant": "not beyond chance",
-    "inconsistent": "the runs disagree on its size",
+    "insignificant": "not beyond chance, or what the runs disagree on its size",
     "negative": "it would have to create energy",
-    "not transferable": "what the other runs say of it does not help on each",
     "too late": "the torque would act after its period",
-    "immaterial": "it explains too little of what is left",
+    "immaterial": "at the size of the other runs it explains too little of what is left",
 }
 
 
@@ -206,4 +204,12 @@ def gains(arm: Arm, found: Sequence[Finding]) -> str:
     return (
         f"the torque sensors read differently: against that of the {arm.joints[0].name} too much by {each}; the values "
         "are found with these gains"
+    )
+
+
+def unnamed(arm: Arm, columns: Sequence[str]) -> str:
+    """Usual effects that a model has beside what was named."""
+    return (
+        f"the model also has {', '.join(title(arm, column) for column in columns)}: usual in such arms, but not sure "
+        "enough in these runs to be named"
     )

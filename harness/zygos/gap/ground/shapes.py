@@ -91,6 +91,7 @@ def _best(
     ratio = grid[1] / grid[0]
     finer = [_shaped(one, _shape(one) * ratio ** (k * distance)) for k in range(-3, 4)]
     others = [best.get(other.name, other.candidate) for other in found.named if other.name != name]
+    others += found.unnamed(table.layout)
     there = table_of(
         _layout(simulation, table, [*others, *finer]), [rows.motion for rows in table.rows], table.span_s, loads
     )
