@@ -6,6 +6,7 @@ Each file is read and corrected by zygos, and compiled and solved by MuJoCo, whi
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +15,16 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from cli_support import run
 from gap_support import example
 from spring_support import AXES, FREE_FLYER, IN_SPRINGS, serial
 
-from zygos.arm import Arm
+from zygos.arm import Arm, save_arm
 from zygos.dynamics.equations import from_parameters
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.gap.ground.predictions import Stage
-from zygos.model.model import Model
+from zygos.model.model import Model, save_model
 from zygos.simulators.correct import corrected
 from zygos.simulators.file import contents, read_robot, write
 from zygos.simulators.held import snippet
@@ -103,6 +105,7 @@ def accelerations(path: Path, robot: Robot, states: Sequence[Any]) -> np.ndarray
     """(m, ·) of base, joints and motors after the gear, in MuJoCo."""
     tree = mujoco.MjModel.from_xml_path(str(path))
     tree.opt.tolerance, tree.opt.iterations, tree.opt.timestep = 1e-14, 200, 1e-6
+    tree.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     data, out = mujoco.MjData(tree), []
     links = [tree.joint(hinge.written) for hinge in robot.hinges]
     rotors = [one.spring and tree.joint(one.spring.number) for one in robot.hinges]
@@ -144,6 +147,14 @@ def test_accelerations_of_a_corrected_file(tmp_path: Path, kind: str) -> None:
     assert {(one.kind.key, one.joint): one.value for one in learned.effects} == pytest.approx(
         {(one.kind.key, one.joint): one.value for one in model.effects}, rel=1e-6
     )
+    assert differ(arm, out, again) < EXACT
+
+
+def differ(arm: Arm, path: Path, robot: Robot) -> float:
+    """Largest difference of accelerations in MuJoCo from those of zygos' equations with the model of the file, as share
+    of the largest one."""
+    learned = robot.model(arm)
+    values = learned.base_values(arm)
     draw, n = np.random.default_rng(0), arm.n
     rigid = np.array([not joint.flexible for joint in arm.joints])
     states = []
@@ -151,12 +162,88 @@ def test_accelerations_of_a_corrected_file(tmp_path: Path, kind: str) -> None:
         q, qd, bent, slip, tau = draw.normal(size=(5, n))
         qd += np.sign(qd)  # MuJoCo rounds the sign of friction off near standstill
         theta, thetad = np.where(rigid, q, q + 0.02 * bent), np.where(rigid, qd, qd + 0.05 * slip)
-        omega = np.array(0.3) if kind == "planar" else draw.normal(size=3) * 0.5 * arm.free
+        omega = np.array(0.3) if not arm.spatial else draw.normal(size=3) * 0.5 * arm.free
         states.append((q, theta, omega, qd, thetad, tau * values[-2] / 100.0))
-    own = from_parameters(arm, learned.base_values(arm), learned.effects)
+    own = from_parameters(arm, values, learned.effects)
     parts = own.accelerations(*(np.array(column) for column in zip(*states, strict=True)))
     expected = np.concatenate([x.reshape(len(states), -1) for x in parts[0 if arm.free else 1 :]], axis=1)
-    assert np.max(np.abs(accelerations(out, again, states) - expected)) < EXACT * np.max(np.abs(expected))
+    return float(np.max(np.abs(accelerations(path, robot, states) - expected)) / np.max(np.abs(expected)))
+
+
+ACTUATORS = """<actuator>
+<motor name="drive" joint="JOINT" gear="6"/><position name="hold" joint="JOINT" kp="3"/>
+</actuator>
+<keyframe><key name="home" qpos="QPOS" qvel="QVEL"/></keyframe>"""
+
+
+def without_springs(kind: str) -> tuple[str, str]:
+    """The file of `file_of` without springs and rotors, with a motor, a servo and a keyframe; and a flexible joint."""
+    if kind == "planar":
+        text = re.sub(r'<body name="\w+_rotor".*?</body>\s*|<tendon>.*</tendon>\s*', "", FREE_FLYER, flags=re.DOTALL)
+        joint, angles = "elbow", [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0, 0.1, 0.2]
+    else:
+        text = serial(kind == "floating", (False, False, False), RATIO)
+        joint = "joint1"
+        angles = [*([1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0] if kind == "floating" else []), 0.1, 0.2, 0.3]
+    rates = angles[1:] if len(angles) > 3 else angles
+    more = ACTUATORS.replace("JOINT", joint)
+    for name, values in (("QPOS", angles), ("QVEL", rates)):
+        more = more.replace(name, " ".join(map(str, values)))
+    return text.replace("</mujoco>", f"{more}</mujoco>"), joint
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating", "fixed"])
+def test_springs_that_a_file_lacks(tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file then is one of the same arm as that which had them, its motor acts on the rotor with the same power, and
+    its keyframe has the rotors at the angles of the joints."""
+    arm = arm_of(kind)
+    model = heavier(arm, read_robot(file_of(tmp_path, kind), arm).model(arm))
+    text, joint = without_springs(kind)
+    bare, out = tmp_path / "bare.xml", tmp_path / "springs.xml"
+    bare.write_text(text)
+    save_arm(arm, tmp_path / "arm.toml")
+    save_model(model, tmp_path / "model.toml")
+    files = ("--arm", tmp_path / "arm.toml", "--model", tmp_path / "model.toml", "--mjcf", bare)
+    assert run("export", *files, "-o", out) == 0
+    said = capsys.readouterr()
+    assert f"with springs at {joint}" in said.out or kind == "planar"
+    assert f"<position> still acts on joint {joint}, behind its spring: let it act on {joint}_motor" in said.err
+    robot = read_robot(out, arm)
+    assert robot.model(arm).base_values(arm) == pytest.approx(model.base_values(arm), rel=1e-4, abs=1.0)
+    assert differ(arm, out, robot) < EXACT
+    old, new = (mujoco.MjModel.from_xml_path(str(path)) for path in (bare, out))
+    ratio = 50.0 if kind == "planar" else RATIO
+    assert new.actuator_gear[0, 0] == pytest.approx(6.0 / ratio)
+    assert new.joint(int(new.actuator_trnid[0, 0])).name == f"{joint}_motor"
+    motors = {f"{hinge.written}_motor": hinge.written for hinge in robot.hinges if hinge.spring}
+    for name in [new.joint(j).name for j in range(new.njnt) if new.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]:
+        was, now = old.joint(motors.get(name, name)), new.joint(name)
+        turns, zero = (ratio, old.qpos0[was.qposadr[0]]) if name in motors else (1.0, 0.0)
+        angle, rate = old.key_qpos[0, was.qposadr[0]] - zero, old.key_qvel[0, was.dofadr[0]]
+        assert new.key_qpos[0, now.qposadr[0]] == pytest.approx(turns * angle)
+        assert new.key_qvel[0, now.dofadr[0]] == pytest.approx(turns * rate)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "said"),
+    [
+        (('name="shoulder" ', ""), (), "joint joint1 has no name, which its tendon needs; remedy: give it one"),
+        (("mujoco", "robot"), (), "is a URDF; remedy: --urdf"),
+        ((), ("--cad", "model.toml"), "--cad belongs to --urdf; remedy: leave it out"),
+        ((), ("--urdf", "arm.urdf"), "one file is exported at a time; remedy: --urdf"),
+    ],
+)
+def test_springs_are_not_added(
+    tmp_path: Path, change: tuple[str, ...], options: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm, path, out = arm_of("planar"), tmp_path / "bare.xml", tmp_path / "out.xml"
+    path.write_text(without_springs("planar")[0].replace(*(change or ("", ""))))
+    save_arm(arm, tmp_path / "arm.toml")
+    save_model(read_robot(file_of(tmp_path, "planar"), arm).model(arm), tmp_path / "model.toml")
+    files = ("--arm", tmp_path / "arm.toml", "--model", tmp_path / "model.toml", "--mjcf", path)
+    assert run("export", *files, *options, "-o", out) == 2
+    err = " ".join(capsys.readouterr().err.split())
+    assert said in err and "remedy: " in err and not out.exists()
 
 
 def test_only_what_is_learned_changes(tmp_path: Path) -> None:

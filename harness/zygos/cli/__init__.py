@@ -65,7 +65,7 @@ GROUPS = {
         "import": ("import_urdf", "Make arm.toml and model.toml from a URDF."),
         "export": (
             "export_urdf",
-            "Write a URDF with the inertials of a model; everything else in the URDF is unchanged.",
+            "Write a URDF or an MJCF with the values of a model; everything else in it is unchanged.",
         ),
     },
     "Examples": {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`zygos export`: writes a URDF with the inertials of a model."""
+"""`zygos export`: writes the file of a simulator with the values of a model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,19 @@ import typer
 from zygos.arm import load_arm
 from zygos.cli.links import links_as_json, table_of_bodies
 from zygos.cli.options import Json
-from zygos.files.output import check_outputs, counted, note, number, quiet, say, table, write_json, write_text
+from zygos.errors import ZygosError
+from zygos.files.output import (
+    check_outputs,
+    counted,
+    named,
+    note,
+    number,
+    quiet,
+    say,
+    table,
+    write_json,
+    write_text,
+)
 from zygos.files.progress import progress
 from zygos.model.model import Model, load_model
 from zygos.model.nearest import DETERMINED, ENTRIES, UNITS, Nearest, entries_of, nearest_bodies
@@ -59,6 +71,35 @@ def export_urdf(
         write_json(json, {"urdf": str(out), "links": links, "tolerance": DETERMINED if found else None, "notes": notes})
 
 
+def export_mjcf(arm_file: Path, model_file: Path, mjcf: Path, out: Path) -> None:
+    """Write an MJCF with bodies, rotors, springs and effects of a model, and with springs that it lacks."""
+    from zygos.gap.ground.predictions import Stage  # noqa: PLC0415  (of use here alone, and slow to load)
+    from zygos.simulators.added import other_actuators  # noqa: PLC0415
+    from zygos.simulators.correct import corrected  # noqa: PLC0415
+    from zygos.simulators.explain import InSimulator  # noqa: PLC0415
+    from zygos.simulators.file import for_output, is_urdf, read_robot, tree_of  # noqa: PLC0415
+
+    check_outputs([out], [arm_file, model_file, mjcf])
+    arm, model = load_arm(arm_file), load_model(model_file)
+    if is_urdf(mjcf):
+        raise ZygosError(f"--mjcf {mjcf}: is a URDF; remedy: --urdf")
+    if arm.grounded:
+        raise ZygosError(
+            f"--mjcf: arm {arm.name} is on the ground and has rigid joints, and only runs say what matters of its "
+            f"bodies; remedy: `zygos estimate RUN... --simulation {mjcf.name} -o NEW.xml`"
+        )
+    robot = for_output(read_robot(mjcf, arm, add=True), out)
+    found = corrected(robot, arm, Stage.of("model", model, arm), [])
+    tree_of(robot, found.robot, out.parent)  # what MuJoCo rejects is told before anything is written
+    own = InSimulator(robot, arm, found, (), ())
+    files = own.save(out)
+    for line in (*own.notes, *other_actuators(robot)):
+        note(f"note: {line}")
+    added = [hinge.written for hinge in robot.hinges if hinge.spring is not None and hinge.spring.added]
+    springs = f", with springs at {', '.join(added)}" if added else ""
+    say(f"{', '.join(map(named, files))}: {mjcf.name} with the values of model {model.name}{springs}")
+
+
 def _entries(found: Nearest, cad: Model) -> list[list[dict[str, Any]]]:
     """For each link, the result for each entry of its inertial."""
     return [
@@ -103,27 +144,55 @@ def command(
     model: Annotated[
         Path, typer.Option("--model", metavar="MODEL.toml", help="A model by bodies, or by base parameters.")
     ],
-    urdf: Annotated[Path, typer.Option("--urdf", metavar="IN.urdf", help="The URDF whose inertials are replaced.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="OUT.urdf", help="The URDF to write.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="OUT", help="The URDF or MJCF to write.")],
+    urdf: Annotated[
+        Path | None, typer.Option("--urdf", metavar="IN.urdf", help="The URDF whose inertials are replaced.")
+    ] = None,
+    mjcf: Annotated[
+        Path | None,
+        typer.Option(
+            "--mjcf",
+            metavar="IN.xml",
+            help="The MJCF of an arm that floats or has flexible joints: bodies, rotors, springs and friction become "
+            "those of the model, and a flexible joint without a spring gets one.",
+        ),
+    ] = None,
     cad: Annotated[
         Path | None,
         typer.Option(
-            "--cad", metavar="CAD.toml", help="For base parameters: the model by bodies that determines the rest."
+            "--cad",
+            metavar="CAD.toml",
+            help="With --urdf and base parameters: the model by bodies that determines the rest.",
         ),
     ] = None,
     base: Annotated[
         str | None,
-        typer.Option(metavar="LINK", help="The link at which the arm begins. Default: that of the model's first body."),
+        typer.Option(
+            metavar="LINK",
+            help="With --urdf: the link at which the arm begins. Default: that of the model's first body.",
+        ),
     ] = None,
     json: Json = None,
 ) -> None:
-    """Write a URDF with the inertials of a model; everything else in the URDF is unchanged.
+    """Write a URDF or an MJCF with the values of a model; everything else in it is unchanged.
 
-    Base parameters, as `zygos estimate` writes them, do not determine every inertial. Of all bodies that have them,
-    those nearest to the bodies of --cad are written, and a table shows which entries are determined.
+    Base parameters, as `zygos estimate` writes them, do not determine every inertial. With --urdf, of all bodies that
+    have them, those nearest to the bodies of --cad are written, and a table shows which entries are determined. With
+    --mjcf, they are those near the bodies of the file.
 
-    Exit code 3 when no physically possible bodies have these base parameters.
+    With --urdf, exit code 3 when no physically possible bodies have these base parameters.
 
     Example: zygos export --arm arm.toml --model estimate.toml --cad model.toml --urdf arm.urdf -o new.urdf
+
+    Example: zygos export --arm arm.toml --model estimate.toml --mjcf arm.xml -o springs.xml
     """
-    export_urdf(arm, model, urdf, out, cad, base, json)
+    if (urdf is None) == (mjcf is None):
+        raise ZygosError("one file is exported at a time; remedy: --urdf IN.urdf, or --mjcf IN.xml")
+    if urdf is not None:
+        export_urdf(arm, model, urdf, out, cad, base, json)
+        return
+    for name, given in (("--cad", cad), ("--base", base), ("--json", json)):
+        if given is not None:
+            raise ZygosError(f"{name} belongs to --urdf; remedy: leave it out")
+    assert mjcf is not None
+    export_mjcf(arm, model, mjcf, out)

@@ -11,6 +11,7 @@ from typing import Any
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.files.output import write_bytes
+from zygos.simulators.added import with_springs
 from zygos.simulators.measure import Simulator
 from zygos.simulators.mjcf import compiled, corrected_mjcf, load_mujoco, read_mjcf
 from zygos.simulators.robot import Robot, check_gears
@@ -30,8 +31,9 @@ def is_urdf(path: Path) -> bool:
     return read_document(path).root.tag == "robot"
 
 
-def read_robot(path: Path, arm: Arm | None, joints: int | None = None) -> Robot:
-    """The arm of a file. arm: whose joints it has; None: the first `joints` hinges of its only chain.
+def read_robot(path: Path, arm: Arm | None, joints: int | None = None, *, add: bool = False) -> Robot:
+    """The arm of a file. arm: whose joints it has; None: the first `joints` hinges of its only chain. add: springs that
+    the file lacks, as `with_springs`.
 
     Errors: ZygosError as `read_mjcf` and `read_urdf`, and where the file is not of that arm.
     """
@@ -51,7 +53,7 @@ def read_robot(path: Path, arm: Arm | None, joints: int | None = None) -> Robot:
             "from a URDF)"
         )
     check_gears(arm, arm.name)
-    return robot.ordered(arm)
+    return (with_springs(robot, arm) if add and len(robot.hinges) == arm.n else robot).ordered(arm)
 
 
 def for_output(robot: Robot, out: Path) -> Robot:
@@ -72,7 +74,7 @@ def for_output(robot: Robot, out: Path) -> Robot:
         made.text({})
         robot = replace(robot, format="MJCF", notes=(*robot.notes, *made.notes), translated=True)
     if robot.format == "URDF" or robot.translated:
-        _tree(robot, None, out.parent)  # what MuJoCo rejects is told before anything is learned
+        tree_of(robot, None, out.parent)  # what MuJoCo rejects is told before anything is learned
         return robot
     if robot.format == "MJCF" and out.parent.resolve() != robot.path.parent.resolve():
         for one in read_document(robot.path, includes=True).root.walk():
@@ -114,8 +116,9 @@ def write(files: dict[Path, bytes]) -> None:
         write_bytes(path, files[path])
 
 
-def _tree(robot: Robot, changed: Robot | None, folder: Path | None) -> Any:
-    """The MjModel of a file, as `simulator` has it."""
+def tree_of(robot: Robot, changed: Robot | None, folder: Path | None) -> Any:
+    """The MjModel of a file. changed: with other numbers, as it would be written into a folder. Errors: ZygosError
+    where MuJoCo is not installed or rejects it."""
     if robot.format == "URDF":
         from zygos.simulators.urdf import corrected_urdf  # noqa: PLC0415  (an extra)
 
@@ -152,4 +155,4 @@ def simulator(robot: Robot, arm: Arm, changed: Robot | None = None, folder: Path
 
     Errors: ZygosError where MuJoCo is not installed or rejects it.
     """
-    return Simulator(_tree(robot, changed, folder), robot, arm)
+    return Simulator(tree_of(robot, changed, folder), robot, arm)

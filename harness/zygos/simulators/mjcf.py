@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from zygos.errors import ZygosError, installs
+from zygos.simulators.added import add_springs, attributes, gap, stiffness
 from zygos.simulators.robot import Hinge, Lump, Owner, Robot, Spring, written
 from zygos.simulators.springs import HINGE, spring_of, springs_of, terms
 from zygos.simulators.view import View
@@ -209,7 +209,7 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
         entries = {"pos": written(lump.centre), "mass": written([lump.mass]), "fullinertia": written(full)}
         present = elements[body - 1].first("inertial")
         if present is None:
-            edits.insert(elements[body - 1], f"<inertial {_attributes(entries)}/>")
+            edits.insert(elements[body - 1], f"<inertial {attributes(entries)}/>")
         else:
             edits.give(present, **entries, **dict.fromkeys(_TURNS))
 
@@ -222,13 +222,16 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
             ("damping", before.damping, after.damping),
         )
         was, now = before.spring, after.spring
-        if was is None or now is None or was is now:
+        if was is None or now is None or was is now or was.added:
             continue
         _change(edits, joint(was.number), ("frictionloss", was.friction, now.friction), ("damping", was.rub, now.rub))
         _tie(edits, document, tree, was, now)
         if now.rotor is not was.rotor:
             body = int(tree.jnt_bodyid[was.number])
             inertial(body, now.rotor.in_frame(*view.pose(body)))
+    added = [hinge for hinge in new.hinges if hinge.spring is not None and hinge.spring.added]
+    if added:
+        add_springs(edits, elements, view, added)
     for carried, owner in zip(old.bodies, new.bodies, strict=True):
         if carried.own is not owner.own:
             inertial(owner.number, owner.own.in_frame(owner.attitude, owner.origin))
@@ -248,19 +251,15 @@ def _tie(edits: Edits, document: Document, tree: Any, was: Spring, now: Spring) 
     tendon, size = tendons[was.tendon], (was.coefficient * was.ratio) ** 2
     _change(edits, tendon, ("damping", was.damping / size, now.damping / size))
     if (was.stiffness, was.slack, was.cubic) != (now.stiffness, now.slack, now.cubic):
-        stiffness = max(now.stiffness - now.slack, 0.0) / size
-        orders = [stiffness, *([0.0, now.cubic / size**2] if now.cubic else [])]
-        edits.give(tendon, stiffness=" ".join(f"{x:.10g}" for x in orders))
+        edits.give(tendon, stiffness=stiffness(now))
     if (was.slack, was.gap_rad) != (now.slack, now.gap_rad):
-        half = now.gap_rad * abs(was.coefficient * was.ratio)
-        ends = written([float(tree.tendon_length0[was.tendon]) + sign * half for sign in (-1.0, 1.0)])
+        own = gap(now, float(tree.tendon_length0[was.tendon]))
         if was.second >= 0:
-            edits.give(tendons[was.second], stiffness=written([now.slack / size]), springlength=ends)
+            edits.give(tendons[was.second], **own)
         else:
-            inner = "".join(f"<joint {_attributes(one.attributes)}/>" for one in tendon.all("joint"))
+            inner = "".join(f"<joint {attributes(one.attributes)}/>" for one in tendon.all("joint"))
             section = next(one for one in document.root.all("tendon") if tendon in one.children)
-            own = _attributes({"stiffness": written([now.slack / size]), "springlength": ends})
-            edits.insert(section, f"<fixed {own}>{inner}</fixed>")
+            edits.insert(section, f"<fixed {attributes(own)}>{inner}</fixed>")
     if (was.stiffness, was.offset) != (now.stiffness, now.offset) and (was.offset or now.offset):
         # the length at the zeros, and what the offset adds to it
         low = float(tree.tendon_lengthspring[was.tendon, 0])
@@ -275,10 +274,6 @@ def _view(tree: Any, root: int | None) -> View:
     data = mujoco.MjData(tree)
     mujoco.mj_kinematics(tree, data)
     return View(tree, data, root)
-
-
-def _attributes(values: Mapping[str, str]) -> str:
-    return " ".join(f"{name}={quoteattr(value)}" for name, value in values.items())
 
 
 def tendons_of(document: Document) -> list[Element]:

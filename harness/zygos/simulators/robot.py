@@ -103,13 +103,18 @@ class Spring:
     rub: float = 0.0
     """Nms/rad of the rotor's hinge, before the gear."""
     number: int = -1
-    """Of the hinge of the rotor in MuJoCo."""
+    """Of the hinge of the rotor in MuJoCo; -1 where the file lacks the spring."""
     tendon: int = -1
     """Of the tendon in MuJoCo."""
     second: int = -1
     """Of the one with the gap; -1 where there is none."""
     coefficient: float = 1.0
     """Length of the tendon for each radian of the rotor, m."""
+
+    @property
+    def added(self) -> bool:
+        """Whether the file lacks it."""
+        return self.number < 0
 
     def inertia(self, axis: Array) -> float:
         """Of the rotor about the axis (3,) of its joint, kg m^2."""
@@ -258,9 +263,10 @@ class Robot:
         for hinge, joint in zip(self.hinges, arm.joints, strict=True):
             if joint.flexible and hinge.spring is None:
                 raise ZygosError(
-                    f"{self.path}: joint {hinge.name} is rigid, but flexible in arm {arm.name}; remedy: give it a "
-                    "rotor on a hinge of its own and a fixed tendon between the two (docs/simulators.md), or "
-                    "flexible = false in the arm file, or a model.toml as --simulation"
+                    f"{self.path}: joint {hinge.name} is rigid, but flexible in arm {arm.name}; remedy: `zygos "
+                    f"estimate RUN -o MODEL.toml`, then `zygos export --arm ARM.toml --model MODEL.toml --mjcf "
+                    f"{self.path.name} -o NEW.xml` gives it a spring, or flexible = false in the arm file, or a "
+                    "model.toml as --simulation"
                 )
             if hinge.spring is not None and not joint.flexible:
                 raise ZygosError(

@@ -31,7 +31,7 @@ class View:
         return self.attitude.T @ (at - origin)
 
     def pose(self, body: int) -> tuple[Any, Any]:
-        """Attitude (3, 3) and origin (3,) of a body, m."""
+        """Attitude (3, 3) and origin (3,) of a body or, 0, of the world, m."""
         return self.attitude.T @ self.data.xmat[body].reshape(3, 3), self.place(self.data.xpos[body])
 
     def lump(self, body: int) -> Lump:
