@@ -128,9 +128,9 @@ def _tendons(hinge: Hinge, spring: Spring, motor: str) -> list[str]:
         f"<joint {attributes({'joint': hinge.written, 'coef': '-1'})}/>"
     )
     length = -hinge.zero_rad
-    relaxed = length - (spring.offset / spring.stiffness if spring.offset else 0.0)
+    relaxed = 0.0 + length - (spring.offset / spring.stiffness if spring.offset else 0.0)
     # MuJoCo's own resting length is that at the springref of both joints
-    own = {"stiffness": stiffness(spring), "damping": written([spring.damping]), "springlength": f"{relaxed + 0.0:.16g}"}
+    own = {"stiffness": stiffness(spring), "damping": written([spring.damping]), "springlength": f"{relaxed:.16g}"}
     every = [own, *([gap(spring, length)] if spring.slack else [])]
     plain = {"limited": "false", "frictionloss": "0"}
     return [f"<fixed {attributes(plain | one)}>{ends}</fixed>" for one in every]
