@@ -46,9 +46,9 @@ class Scores:
     alone_sigma: Floats
     """(R, C)"""
     before: Floats
-    """(R, N) mean square residual of each run, fitted to itself, Nms^2."""
+    """(R, N) mean square residual of each run with the values that the other runs give, Nms^2."""
     after: Floats
-    """(R, C, N) the same with the column at the value that the other runs give it."""
+    """(R, C, N) the same with the column beside."""
 
     @property
     def z(self) -> Floats:
@@ -234,20 +234,20 @@ def _spread(pulls: Floats) -> Floats:
 def _transferred(
     table: Table, total: Floats, each: Floats, of: NDArray[np.int64], tried: NDArray[np.int64], prior: Floats
 ) -> tuple[Floats, Floats]:
-    """(R, N) mean square residuals of each run, fitted to itself, and (R, C, N) with each column at the value that the
-    other runs give it."""
+    """(R, N) mean square residuals of each run with the values that the other runs give, and (R, C, N) with each column
+    beside."""
     before, after = [], []
     width = table.layout.width - 1
     for run, own in enumerate(each):
         mine = table.owner == run
         gram = (table.gram[mine] + table.noise[mine]).sum(axis=0)
         rows = np.maximum(table.counts[mine].sum(axis=0), 1.0)
-        value = np.nan_to_num(_beside((total - own)[None], of, tried, prior)[0][0])
-        _, _, slope, start = _beside(own[None], of, tried, prior)
+        value, _, slope, start = (one[0] for one in _beside((total - own)[None], of, tried, prior))
+        value = np.nan_to_num(value)
         x = np.zeros((len(tried) + 1, width))
-        x[:, of] = start[0]
+        x[:, of] = start
         for c, column in enumerate(tried):
-            x[c, of] -= value[c] * slope[0][:, c]
+            x[c, of] -= value[c] * slope[:, c]
             x[c, column] = value[c]
         left = _with_offset(table, gram, x, run) / rows
         before.append(left[-1])
