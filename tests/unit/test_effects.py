@@ -317,7 +317,7 @@ def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
     return rooms
 
 
-@pytest.mark.slow
+@pytest.mark.slow(but=["one joint, all"])
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if not case.far])
 def test_c_equals_numpy_with_effects(name: str) -> None:
     """As many as the build holds, other ones at other arms."""
