@@ -30,9 +30,10 @@ TESTS = tuple(
     f"tests/{name}.py" if "/" in name else f"tests/unit/test_{name}.py"
     for name in (
         "any_arm bandwidth blocks c_equals_numpy change check conventions counters cycle effects flight "
-        "flight_joints guard guard_joints impulse in_place integrity kinematics momentum momentum_sums motors "
-        "multibody propagation range_end refine refine_beginning refine_onboard refiner refusals scrub smoother "
-        "snapshot spatial tasks telemetry text torque_noise bus/test_wire"
+        "flight_joints four_calls gains golden guard guard_joints impulse in_place integrity kinematics momentum "
+        "momentum_sums motors multibody propagation range_end refine refine_beginning refine_onboard refine_upsets "
+        "refiner refusals restarted_loop scrub smoother snapshot spatial tasks telemetry text torque_noise "
+        "bus/test_wire"
     ).split()
 )
 """The quick tests that call the library in their own process, for the mutants."""
