@@ -117,6 +117,16 @@ def score(table: Table, fitted: Fit, columns: Sequence[int]) -> Scores:
     )
 
 
+def gains(table: Table, fitted: Fit, columns: Sequence[int]) -> Floats:
+    """(C,) reduction of the weighted squared residual by each column alone beside those of a fit."""
+    if any(place in (*fitted.free, *columns) for _, place in table.layout.gains):
+        table = table.with_gains(fitted.x)
+    of, tried = np.array(fitted.free), np.array(columns, dtype=np.int64)
+    total = np.einsum("j,bjpq->pq", 1.0 / fitted.sigma**2, table.gram, optimize=True)
+    value, inverse, *_ = _beside(total[None], of, tried, table.layout.prior()[of])
+    return np.asarray(np.nan_to_num(value[0] ** 2 / inverse[0]), dtype=np.float64)
+
+
 def jackknife(table: Table, fitted: Fit) -> tuple[Floats, Floats, Floats]:
     """(f, f) covariance of the free columns of a fit from leaving out blocks, (f,) its degrees of freedom, and (f,)
     standard deviations where the coefficients are others in each run."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zygos import limits
 from zygos.gap.ground.candidates import GAIN, Candidate
 from zygos.gap.ground.columns import Layout, Table
-from zygos.gap.ground.fit import Fit, Scores, fit, jackknife, residual, score
+from zygos.gap.ground.fit import Fit, Scores, fit, gains, jackknife, residual, score
 from zygos.ground.estimate import DEFAULT_FRICTION
 from zygos.quantiles import normal_isf, normal_sf, student_isf
 
@@ -205,6 +205,9 @@ def _earned(table: Table, beside: Sequence[str], names: Sequence[str]) -> tuple[
                 for other in layout.candidates
                 if other.joint == one.candidate.joint and (other.key, other.joint) not in taken
             ]
+            gained = gains(table, fitted, [layout.at(other.name) for other in others]) if others else []
+            close = limits.STANDS_IN.value * one.gain
+            others = [other for other, gain in zip(others, gained, strict=True) if gain >= close]
             tried = try_all(table, fitted, others) if others else []
             alike.append((name, *_alike(table, fitted, one, tried)))
     return stays, alike

@@ -217,9 +217,10 @@ def _candidates(found: GroundExplanation) -> Section | None:
         "candidates",
         "Why not something else" if found.search.named else "What was tried",
         Text(
-            "Each candidate alone beside the simulation's own equations. A candidate must be significant (z from the "
-            "scatter over blocks of time), have the same sign and size on every run, and explain a fifth of what noise "
-            f"does not explain at its joint. “Seen from” is the size from which on it would be significant. {asked}"
+            "Each candidate alone beside the simulation's own equations, and the usual friction where that stays in "
+            "the model. A candidate must be significant (z from the scatter over blocks of time and over runs), and "
+            "the values of the other runs must explain a fifth more with it of what noise does not explain at its "
+            f"joint. “Seen from” is the size from which on it would be significant. {asked}"
         ),
         table(columns, rows),
         *beyond_content(
