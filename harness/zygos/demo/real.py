@@ -22,6 +22,7 @@ import typer
 from zygos.accuracy.idim import idim
 from zygos.arm import load_arm
 from zygos.can.run import Run
+from zygos.demo.gap_picture import write_picture
 from zygos.demo.kr300 import SOURCE, Skew, audit_kr300
 from zygos.errors import Undecided, ZygosError
 from zygos.files.output import check_outputs, errors_end_the_program, number, say, write_json
@@ -29,7 +30,6 @@ from zygos.files.output import table as show_table
 from zygos.files.progress import progress
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.ground.explanation import GroundExplanation
-from zygos.gap.ground.picture import write_picture
 from zygos.gap.ground.predictions import run_name
 from zygos.gap.ground.sections import answer_of
 from zygos.ground.estimate import GroundEstimate, estimate_ground

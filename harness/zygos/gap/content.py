@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from zygos.gap.adopted import Adopted, Check
@@ -27,8 +26,8 @@ def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
 
 
-def _finding(found: Finding, proof: str) -> dict[str, Any]:
-    """An effect that was found. proof: the evidence in words."""
+def _finding(found: Finding) -> dict[str, Any]:
+    """An effect that was found."""
     return {
         "effect": found.kind,
         "title": found.title,
@@ -37,14 +36,14 @@ def _finding(found: Finding, proof: str) -> dict[str, Any]:
         "sigma": found.sigma,
         "interval": list(found.interval),
         "unit": found.unit,
-        "evidence": proof,
+        "evidence": evidence(found),
         "cannot_tell_from": list(found.instead),
         "shape": found.shape,
         "component": found.component or None,
     }
 
 
-def value_json(value: Value) -> dict[str, Any]:
+def _value(value: Value) -> dict[str, Any]:
     """A value beside that of the simulation."""
     return {
         "name": value.name,
@@ -78,7 +77,7 @@ def simulation_json(simulated: Simulated | None) -> dict[str, Any] | None:
     return {"run": run and str(run), "torques_of": torques and str(torques)}
 
 
-def source_json(source: Provenance) -> dict[str, Any]:
+def _source(source: Provenance) -> dict[str, Any]:
     """Where an answer is from."""
     return {
         "command": source.command,
@@ -156,18 +155,22 @@ def change_json(verdict: Verdict) -> dict[str, Any] | None:
     }
 
 
-def verdict_json(found: Explanation | GroundExplanation, evidence_of: Callable[[Finding], str]) -> dict[str, Any]:
-    """The answer and what it rests on. evidence_of: the evidence for a finding in words."""
+def verdict_json(found: Explanation | GroundExplanation, source: Provenance) -> dict[str, Any]:
+    """The answer and what it rests on, as of every arm."""
     return {
         "answer": found.answer,
         "sentence": found.sentence,
         "where": found.where,
-        "findings": [_finding(f, evidence_of(f)) for f in found.findings],
+        "findings": [_finding(f) for f in found.findings],
         "partly": found.partly or None,
         "left": _remainders(found.verdict),
         "change": change_json(found.verdict),
         "checks": _checks(found.adopted, found.verdict),
         "decided_by": _limits(found.verdict),
+        "values": [_value(v) for v in found.values],
+        "simulation": simulation_json(found.simulated),
+        "remarks": list(found.notes),
+        **_source(source),
     }
 
 
@@ -176,7 +179,7 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
     layout = found.refit.layout
     gap = found.gap
     return {
-        **verdict_json(found, evidence),
+        **verdict_json(found, source),
         "gap": gap
         and {
             "unit": "sigma",
@@ -224,11 +227,9 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             "candidates": found.search.chance.candidates,
         },
         "completeness": None if found.search is None else list(found.search.completeness),
-        "values": [value_json(v) for v in found.values],
         "experiments": [
             {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
         ],
-        "simulation": simulation_json(found.simulated),
         "zeros": [
             {
                 "name": name,
@@ -240,7 +241,5 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             if isinstance(one, ZerosOff)
             for name, value in one.zeros
         ],
-        "remarks": list(found.notes),
         "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in found.records],
-        **source_json(source),
     }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations, groupby
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from zygos.gap.forecast import Forecast
 from zygos.gap.record import MeasuredRun, letter
 from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import Candidate, Search
-from zygos.gap.sentences import against, asked_of_candidates, balance_title, evidence, motion, predicted
+from zygos.gap.sentences import against, asked_of_candidates, balance_title, evidence, motion, predicted, title
 from zygos.gap.verdicts import Verdict
 from zygos.plan.separating import Separating
 from zygos.report.answer import (
@@ -51,6 +52,9 @@ from zygos.report.answer import (
 )
 from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, within
 from zygos.report.page import Entry, joint_colour
+
+if TYPE_CHECKING:
+    from zygos.gap.ground.explanation import GroundExplanation
 
 _LEAST = 1e-3
 """Excess per balance that the scale of the shares begins with; below it the twin's own draws differ more."""
@@ -96,13 +100,13 @@ def answer_of(
     charts."""
     drawn = Drawn(x, planned) if draw else None
     null, values = x.answer == "nothing missing", x.answer == "values differ"
-    candidates, model = _candidates(x), _values(x)
+    candidates, model = _candidates(x), value_section(x)
     lead = [Text(f"**Part of it looks like** {x.partly}; that is a hint, not a name.")] if x.partly else []
     lead.append(Text(x.where, "lead"))
     lead += [Text(remark, "note") for remark in (*x.notes, *beside)]
     cards: list[Facts | Cards] = []
     if x.findings:
-        cards.append(Cards(tuple(_finding(x.arm, one) for one in x.findings), TONES[x.answer]))
+        cards.append(Cards(tuple(finding_card(x.arm, one) for one in x.findings), TONES[x.answer]))
     if values:
         cards.append(Cards(tuple(_card(one) for one in x.values if one.differs), "differ"))
     runs = " ".join(f"Run {letter(k)}: {r.path}, {_length(r)} in unbroken arcs." for k, r in enumerate(x.refit.records))
@@ -195,12 +199,15 @@ def _length(record: MeasuredRun) -> str:
 # verdict
 
 
-def _finding(arm: Arm, finding: Finding) -> Card:
+def finding_card(arm: Arm, finding: Finding, after_gear: str = "") -> Card:
+    """A finding. after_gear: its value after the gear, where that differs."""
     low, high = finding.interval
     unit = unit_of(finding.unit)
     lines = [f"95 % interval {down_to(low, finding.sigma)} … {down_to(high, finding.sigma)} {unit}", evidence(finding)]
+    if after_gear:
+        lines.insert(1, f"{after_gear} after the gear")
     if finding.instead:
-        names = "; ".join(spoken(arm, name) for name in finding.instead)
+        names = "; ".join(title(arm, name) for name in finding.instead)
         lines.insert(0, f"these runs cannot tell it from {names}")
     place = finding.joint or "the base"
     return Card(f"{finding.title}, {place}", f"{down_to(finding.value, finding.sigma)} {unit}", tuple(lines))
@@ -608,11 +615,12 @@ _STEPS: dict[Stage, tuple[str, str]] = {
 # values
 
 
-def _values(x: Explanation) -> Section | None:
+def value_section(x: Explanation | GroundExplanation) -> Section | None:
+    """The parameters of the simulation and those found, and the effects of both models."""
     reach = [abs(v.change) + (2.0 * ratio(v.delivered_sigma, abs(v.delivered)) or 0.0) for v in x.values]
     scale = max((r for r in reach if math.isfinite(r)), default=0.0) or 1e-6
     rows = []
-    inertial = len(x.arm.parameter_names) - 3 * x.arm.n
+    inertial = len(x.values) if x.arm.grounded else len(x.arm.parameter_names) - 3 * x.arm.n
     for k, v in enumerate(x.values):
         colour = joint_colour((k - inertial) // 3 if k >= inertial else None)
         spread = ratio(v.delivered_sigma, abs(v.delivered))
@@ -746,7 +754,7 @@ def _value(name: str, value: float, sigma: float) -> str:
     return _half(value, sigma)
 
 
-def _effects(x: Explanation) -> Content | None:
+def _effects(x: Explanation | GroundExplanation) -> Content | None:
     """Effects of both models, what is new first."""
     if x.model is None:
         return None

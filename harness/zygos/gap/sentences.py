@@ -14,7 +14,7 @@ from zygos.effects import CATALOGUE, column_named, is_column, spoken
 from zygos.files.output import ratio
 from zygos.gap.changes import BODIES
 from zygos.gap.experiment import Experiment
-from zygos.gap.findings import Deflection, Disagreement, Finding, Gap, Value
+from zygos.gap.findings import ASYMMETRY, Deflection, Disagreement, Finding, Gap, Repeated, Value
 from zygos.gap.search import Against, Candidate
 from zygos.gap.verdicts import (
     AboveFloor,
@@ -222,16 +222,42 @@ def _first_of(texts: Iterable[str]) -> str:
 # findings
 
 
+def title(arm: Arm, column: str) -> str:
+    """A column in sentences."""
+    column = column.partition("@")[0]
+    if is_column(column):
+        return spoken(arm, column)
+    if column.startswith(ASYMMETRY):
+        joint = arm.joints[int(column[len(ASYMMETRY) :]) - 1].name
+        return f"Coulomb friction that differs between the directions ({joint})"
+    number = column[2:]
+    return f"inertia of the rotor ({arm.joints[int(number) - 1].name})" if number.isdigit() else column
+
+
 def evidence(finding: Finding) -> str:
     """The evidence for it."""
     match finding.evidence:
         case Deflection() as bent:
             return f"link and motor part by {bent.rms_rad:.3g} rad rms, {_parted(bent)} their noise"
+        case Repeated() as proof:
+            return _repeated(proof, finding.unit)
         case proof:
             return (
                 f"{proof.z:.0f} standard deviations of the null twin on either run, {100 * proof.completeness:.1f} % "
                 "of the excess explained by all that is named"
             )
+
+
+def _repeated(proof: Repeated, unit: str) -> str:
+    if not math.isfinite(proof.z):
+        return ""
+    each = ", ".join(f"{x:.3g}" for x in proof.each if math.isfinite(x))
+    runs = f", {each} {unit} on the runs by themselves" if each else ""
+    said = f"{abs(proof.z):.0f} standard deviations from the scatter over blocks of time and runs{runs}"
+    if math.isfinite(proof.completeness):
+        share = 100 * min(1.0, proof.completeness)
+        said += f", {share:.0f} % of the squared torque beyond noise explained at its joint"
+    return said
 
 
 def entry_evidence(finding: Finding) -> str:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from zygos.gap.content import simulation_json, source_json, value_json, verdict_json
+from zygos.gap.content import verdict_json
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap
 from zygos.gap.ground.predictions import Prediction, run_name
 from zygos.gap.ground.search import false_alarms, threshold
-from zygos.gap.ground.sentences import against, evidence
+from zygos.gap.ground.sentences import against
 from zygos.report.provenance import Provenance
 
 
@@ -21,7 +21,7 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
     tried = len(found.search.rounds[0]) if found.search.rounds else 0
     return {
         "estimator": "explain-ground",
-        **verdict_json(found, evidence),
+        **verdict_json(found, source),
         "gap": None if found.gap is None else _gap(found.gap),
         "joints": [
             {
@@ -56,15 +56,11 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
         "threshold": None
         if not tried
         else {"deviations": threshold(tried), "false_alarms": false_alarms(tried), "candidates": tried},
-        "values": [value_json(v) for v in found.values],
         "increment_s": found.span_s,
-        "simulation": simulation_json(found.simulated),
-        "remarks": list(found.notes),
         "runs": [
             {"run": str(run.path) if run.path else None, "cycles": len(run), "faults": run.faults}
             for run in (*found.measured, *found.validated)
         ],
-        **source_json(source),
     }
 
 

@@ -28,9 +28,10 @@ from zygos.gap.ground.form import form_sigmas
 from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, beside_all, in_time, is_gain, search
-from zygos.gap.ground.sentences import entry_evidence, gains, offset, unnamed
+from zygos.gap.ground.sentences import gains, offset, unnamed
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
 from zygos.gap.ground.timing import lateness, torque_constants
+from zygos.gap.sentences import entry_evidence
 from zygos.gap.verdicts import (
     Changed,
     Inseparable,

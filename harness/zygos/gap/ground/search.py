@@ -205,9 +205,9 @@ def _earned(table: Table, beside: Sequence[str], names: Sequence[str]) -> tuple[
                 for other in layout.candidates
                 if other.joint == one.candidate.joint and (other.key, other.joint) not in taken
             ]
-            gained = gains(table, fitted, [layout.at(other.name) for other in others]) if others else []
+            gained = gains(table, fitted, [layout.at(other.name) for other in others])
             close = limits.STANDS_IN.value * one.gain
-            others = [other for other, gain in zip(others, gained, strict=True) if gain >= close]
+            others = [other for other, gain in zip(others, gained.tolist(), strict=True) if gain >= close]
             tried = try_all(table, fitted, others) if others else []
             alike.append((name, *_alike(table, fitted, one, tried)))
     return stays, alike

@@ -10,31 +10,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos import limits
 from zygos.files.output import number
 from zygos.gap.charts import planned_chart
 from zygos.gap.ground.content import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.predictions import Prediction, quantities, run_name
 from zygos.gap.ground.search import false_alarms, threshold
-from zygos.gap.ground.sentences import after_gear, against, evidence, title
-from zygos.gap.sections import TONES, beyond_content, check_section, limit_rows, planned_section
-from zygos.gap.sentences import asked_of_candidates
+from zygos.gap.ground.sentences import after_gear, against
+from zygos.gap.sections import (
+    TONES,
+    beyond_content,
+    check_section,
+    finding_card,
+    limit_rows,
+    planned_section,
+    value_section,
+)
+from zygos.gap.sentences import asked_of_candidates, title
 from zygos.gap.verdicts import PartNamed, PlainEstimate
 from zygos.plan.separating import Separating
 from zygos.report.answer import (
     NOTHING_DRAWN,
     Answer,
+    Cards,
     Row,
     Section,
-    Table,
     Text,
     charts,
     section,
     sections,
     table,
 )
-from zygos.report.figures import down_to, unit_of
+from zygos.report.figures import unit_of
 from zygos.report.page import Entry, joint_colour, numbers, series, thinned
 
 Floats = NDArray[np.float64]
@@ -63,6 +70,7 @@ def answer_of(
     lead = [Text(found.where, "lead")]
     lead += [Text(f"{found.remedy}.", "note", "Next")] if found.remedy and tone == "open" else []
     lead += [Text(text, "note", "Note") for text in (*found.notes, *beside)]
+    cards = tuple(finding_card(found.arm, one, after_gear(found.arm, one)) for one in found.findings)
     return Answer(
         about="simulation and measured runs of an arm on the ground",
         arm=found.arm.name,
@@ -70,15 +78,15 @@ def answer_of(
         tone=tone,
         sentence=found.sentence,
         lead=tuple(lead),
+        facts=(Cards(cards, tone),) if cards else (),
         sections=sections(
-            section("findings", "What was found", _findings(found)),
             planned_section(planned, draw=draw),
             _left(found),
             _gap(found),
             check_section(found.adopted, found.verdict),
             _joints(found),
             _candidates(found),
-            _values(found),
+            value_section(found),
             *runs,
         ),
         drawn={"times": times, "refused": [], "charts": drawn} if draw else NOTHING_DRAWN,
@@ -87,37 +95,11 @@ def answer_of(
 
 
 def _brief(found: GroundExplanation) -> tuple[str, ...]:
-    """Effects and errors of predictions in lines."""
-    lines = []
-    for one in found.findings:
-        after = after_gear(found.arm, one)
-        interval = f"{down_to(one.value, one.sigma)} ± {number(limits.INTERVAL_Z.value * one.sigma, 2)} {one.unit}"
-        lines.append(
-            f"{one.title}, {one.joint or 'the base'}: {interval}" + (f" ({after} after the gear)" if after else "")
-        )
-    if found.gap is not None:
-        each = ", ".join(f"{name} {number(100 * share, 3)}" for name, share, _ in predicted_errors(found.gap))
-        lines.append(f"energy over one second on the untouched runs, error: {each} %")
-    return tuple(lines)
-
-
-def _findings(found: GroundExplanation) -> Table | None:
-    rows = []
-    for one in found.findings:
-        (low, high), other = one.interval, [title(found.arm, name) for name in one.instead]
-        rows.append(
-            (
-                ", or ".join([one.title, *other]),
-                one.joint or "the base",
-                down_to(one.value, one.sigma),
-                f"{down_to(low, one.sigma)} … {down_to(high, one.sigma)}",
-                unit_of(one.unit),
-                after_gear(found.arm, one) or "–",
-                evidence(one),
-            )
-        )
-    columns = "effect::wrap | joint::text | value::main | 95 % interval | unit::unit | after the gear | evidence::wrap"
-    return table(columns, rows)
+    """Errors of predictions in a line."""
+    if found.gap is None:
+        return ()
+    each = ", ".join(f"{name} {number(100 * share, 3)}" for name, share, _ in predicted_errors(found.gap))
+    return (f"energy over one second on the untouched runs, error: {each} %",)
 
 
 def _left(found: GroundExplanation) -> Section | None:
@@ -229,25 +211,6 @@ def _candidates(found: GroundExplanation) -> Section | None:
             "with a shape, from the shape that is seen best to the one that is seen worst.",
         ),
     )
-
-
-def _values(found: GroundExplanation) -> Section | None:
-    rows = [
-        Row(
-            (
-                v.name,
-                number(v.delivered, 5),
-                down_to(v.found, v.sigma),
-                number(limits.INTERVAL_Z.value * v.sigma, 2),
-                unit_of(v.unit),
-                "yes" if v.differs else "no",
-            ),
-            "outside" if v.differs else "",
-        )
-        for v in found.values
-    ]
-    columns = "name::name | simulation | found::main | ± 95 % | unit::unit | differs::text"
-    return section("values", "Values", table(columns, rows))
 
 
 def _charts(one: Prediction, k: int, times: dict[str, Any]) -> list[Entry]:

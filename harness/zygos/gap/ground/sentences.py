@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from zygos import limits
 from zygos.arm import Arm
-from zygos.effects import is_column, spoken
 from zygos.gap import sentences
-from zygos.gap.findings import ASYMMETRY, ROTOR_INERTIA, Deflection, Finding
+from zygos.gap.findings import ASYMMETRY, ROTOR_INERTIA, Finding
 from zygos.gap.ground.candidates import OFFSET_OF_TORQUE
 from zygos.gap.ground.search import Against, Search, Tried
 from zygos.gap.verdicts import (
@@ -32,18 +30,6 @@ _AGAINST: dict[Against, str] = {
     "too late": "the torque would act after its period",
     "immaterial": "at the size of the other runs it explains too little of what is left",
 }
-
-
-def title(arm: Arm, column: str) -> str:
-    """A column in sentences."""
-    column = column.partition("@")[0]
-    if is_column(column):
-        return spoken(arm, column)
-    if column.startswith(ASYMMETRY):
-        joint = arm.joints[int(column[len(ASYMMETRY) :]) - 1].name
-        return f"Coulomb friction that differs between the directions ({joint})"
-    number = column[2:]
-    return f"inertia of the rotor ({arm.joints[int(number) - 1].name})" if number.isdigit() else column
 
 
 def after_gear(arm: Arm, finding: Finding) -> str:
@@ -80,7 +66,7 @@ def sets(arm: Arm, findings: Sequence[Finding]) -> str:
             groups.setdefault((one.kind, *(name.rstrip("0123456789") for name in one.instead)), []).append(one)
     said = []
     for group in groups.values():
-        names = (title(arm, name) for name in group[0].instead)
+        names = (sentences.title(arm, name) for name in group[0].instead)
         # of several joints, the sizes stand for the places
         others = [name.rpartition(" (")[0] if len(group) > 1 else name for name in names]
         said.append(" or ".join((listed(arm, group), *others)))
@@ -111,7 +97,7 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
                 "no effect is named until it is right."
             )
         case Unexplained():
-            guess = ", ".join(title(arm, column) for column in found.guess)
+            guess = ", ".join(sentences.title(arm, column) for column in found.guess)
             share = f"; the best guess ({guess}) explains {100 * found.completeness:.0f} % of it" if guess else ""
             runs = "the untouched run leaves" if found.untouched else "the measured runs leave"
             return (
@@ -158,28 +144,9 @@ def remedy(arm: Arm, found: Verdict, search: Search) -> str:
     said = "check signs, zeros, gear ratios and timing with `zygos check-arm`"
     if near.explained > 0.0:
         share = 100 * min(1.0, near.explained)
-        said += f"; the nearest in the catalogue, {title(arm, near.name)}, explains {share:.0f} % of what is left"
+        nearest = sentences.title(arm, near.name)
+        said += f"; the nearest in the catalogue, {nearest}, explains {share:.0f} % of what is left"
     return said
-
-
-def evidence(finding: Finding) -> str:
-    """The evidence for it."""
-    proof = finding.evidence
-    if isinstance(proof, Deflection) or not math.isfinite(proof.z):
-        return ""
-    each = ", ".join(f"{x:.3g}" for x in getattr(proof, "each", ()) if math.isfinite(x))
-    runs = f", {each} {finding.unit} on the runs by themselves" if each else ""
-    said = f"{abs(proof.z):.0f} standard deviations from the scatter over blocks of time{runs}"
-    if math.isfinite(proof.completeness):
-        share = 100 * min(1.0, proof.completeness)
-        said += f", {share:.0f} % of the squared torque beyond noise explained at its joint"
-    return said
-
-
-def entry_evidence(finding: Finding) -> str:
-    """The evidence of its entry in a model file."""
-    low, high = finding.interval
-    return f"95 % interval {low:.4g} .. {high:.4g} {finding.unit}; {evidence(finding)}"
 
 
 def against(one: Tried) -> str:
@@ -209,7 +176,5 @@ def gains(arm: Arm, found: Sequence[Finding]) -> str:
 
 def unnamed(arm: Arm, columns: Sequence[str]) -> str:
     """Usual effects that a model has beside what was named."""
-    return (
-        f"the model also has {', '.join(title(arm, column) for column in columns)}: usual in such arms, but not sure "
-        "enough in these runs to be named"
-    )
+    each = ", ".join(sentences.title(arm, column) for column in columns)
+    return f"the model also has {each}: usual in such arms, but not sure enough in these runs to be named"
