@@ -552,7 +552,7 @@ __attribute__((noinline)) static int take_unusual(zygos_receiver_t *self, const 
 int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
 {
     const uint32_t unusual = ZYGOS_FRAME_ERROR | ZYGOS_FRAME_EXTENDED | ZYGOS_FRAME_REMOTE | ZYGOS_FRAME_FD;
-    if (frame->flags & unusual) {
+    if ((frame->flags & unusual) != 0u) {
         return take_unusual(self, frame);
     }
     const uint32_t n = joints_of(config);

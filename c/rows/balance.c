@@ -139,7 +139,7 @@ static void form_energy_row(const zygos_balance_t *self, const zygos_config_t *c
     memcpy(out->column, motion->column, column_map->body * sizeof out->column[0]);
     for (uint32_t i = 0; i < config->joints; i++) {
         double *column = &out->column[column_map->joint[i]];
-        if (column_map->rotor[i]) {
+        if (column_map->rotor[i] != 0u) {
             const double rotor = config->joint[i].gear_ratio * state->theta_rate[i];
             *column = rotor * (0.5 * rotor + motion->carrier_rate[i]);
             column++;

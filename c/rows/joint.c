@@ -251,7 +251,7 @@ static bool form_joint_row(zygos_joint_t *self, const zygos_config_t *config, co
         out->column[k] = end.momentum[k] - begin->momentum[k] - h * (older->force[k] + newer->force[k]);
     }
     for (uint32_t i = 0; i < config->joints; i++) {
-        if (column_map->rotor[i]) {
+        if (column_map->rotor[i] != 0u) {
             const uint32_t k = body + i;
             out->column[column_map->joint[i]] =
                 end.momentum[k] - begin->momentum[k] - h * (older->force[k] + newer->force[k]);

@@ -216,7 +216,7 @@ double *zygos_kinetic_products(const zygos_config_t *config, const double (*x)[3
 static void gravity_columns(const zygos_geometry_t *self, uint32_t joints, const double *gravity, double *column)
 {
     for (uint32_t i = 0; i < joints; i++) {
-        if (self->has_gravity[i]) {
+        if (self->has_gravity[i] != 0u) {
             column[0] = gravity[2u * i];
             column[1] = gravity[2u * i + 1u];
             column += 2;
@@ -458,7 +458,7 @@ void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t 
                 -self->handedness[0] * (d[0] * self->plane_gravity[0] + d[1] * self->plane_gravity[1]);
         }
     }
-    if (self->has_gravity[n - 1u]) {
+    if (self->has_gravity[n - 1u] != 0u) {
         gravity_columns(self, n, gravity, gravity_place);
         if (by_rate != NULL) {
             const double none[2 * ZYGOS_MAX_JOINTS] = { 0.0 };

@@ -103,7 +103,7 @@ static void put_bodies(zygos_column_list_t *angle, zygos_column_list_t *rate, co
 static void put_rotors(zygos_column_list_t *list, const zygos_column_map_t *column_map, uint32_t joints, uint32_t from)
 {
     for (uint32_t i = from; (i < joints) && (i < (uint32_t)ZYGOS_MAX_JOINTS); i++) {
-        if (column_map->rotor[i]) {
+        if (column_map->rotor[i] != 0u) {
             put_place(list, column_map->joint[i]);
         }
     }
@@ -128,7 +128,7 @@ static void put_spring(zygos_column_list_t *list, const zygos_config_t *config, 
 static void put_motor(zygos_column_list_t *list, const zygos_config_t *config, const zygos_column_map_t *column_map,
                       uint32_t i)
 {
-    if (column_map->rotor[i]) {
+    if (column_map->rotor[i] != 0u) {
         put_place(list, column_map->joint[i]);
     }
     for (uint32_t e = 0; e < config->effects; e++) {
@@ -480,7 +480,7 @@ static void motor_slopes(const zygos_config_t *config, const zygos_column_map_t 
 {
     const double ratio = config->joint[i].gear_ratio;
     const uint32_t place = column_map->joint[i];
-    if (column_map->rotor[i]) {
+    if (column_map->rotor[i] != 0u) {
         by_angle[place] = 0.0;
         by_rate[place] = ratio * (ratio * state->theta_rate[i] + motion->carrier_rate[i]);
     }

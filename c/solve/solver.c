@@ -1136,7 +1136,7 @@ static double energy_left(const zygos_solver_t *work, uint32_t p, double *explai
     const double *x = work->solution;
     const zygos_sums_t *sums = work->sums;
     double left = zygos_gram_form(work->total, x, p + 1u);
-    if (work->joints_alone) {
+    if (work->joints_alone != 0u) {
         *explained = zygos_gram_form(work->noise, x, p + 1u);
         left += *explained;
         *explained += work->instants * zygos_joint_sums_torque_noise(&sums->joints, &sums->config);
@@ -1702,7 +1702,7 @@ static uint32_t with_joints(zygos_solver_t *work, uint32_t p, uint32_t rank)
 /* Weighs all rows of the chosen blocks, and scales their sums. Returns their rank. */
 static uint32_t combine(zygos_solver_t *work, uint32_t p)
 {
-    if (work->joints_alone) {
+    if (work->joints_alone != 0u) {
         return scale_sums(work, p);
     }
     return with_joints(work, p, with_momentum(work, p, with_motors(work, p)));

@@ -44,6 +44,7 @@ STEPS: dict[str, Callable[[Options], Result]] = {
     "clang": lambda _: analysis.warnings("clang"),
     "clang-tidy": lambda _: analysis.tidy(),
     "cppcheck": lambda _: analysis.cppcheck(),
+    "misra": lambda _: analysis.misra(),
     "coverage": lambda given: coverage.result(given["counters"]),
     "mutation": lambda given: mutation.result(TESTS, int(given["mutants"]), int(given["seed"]), int(given["jobs"])),
     "fuzzing": lambda given: fuzzing.result(float(given["minutes"])),
@@ -53,6 +54,7 @@ STEPS: dict[str, Callable[[Options], Result]] = {
 """In the order in which they are made."""
 ABOUT = {
     "gcc": "warnings of gcc", "clang": "warnings of clang", "clang-tidy": "clang-tidy", "cppcheck": "cppcheck",
+    "misra": "rules of MISRA C:2012 that cppcheck knows",
     "coverage": "lines and branches that the quick tests run", "mutation": "mutants that the unit tests kill",
     "fuzzing": "fuzzing", "limits-x86-64": "limits on x86-64", "limits-m7": "limits on Cortex-M7",
 }  # fmt: skip

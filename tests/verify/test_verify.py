@@ -198,6 +198,19 @@ def test_a_warning_fails(compiler: str, tmp_path: Path) -> None:
     assert analysis.warnings(compiler, [bad]).verdict == PASSED
 
 
+def test_a_rule_without_a_reason_fails_and_a_reason_without_a_breach(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    need(shutil.which("cppcheck"), "cppcheck")
+    bad, deviations = tmp_path / "bad.c", tmp_path / "misra.txt"
+    bad.write_text("static int f(int x)\n{\n    int y = x * 2 + 1;\n    goto end;\nend:\n    return y;\n}\n")
+    deviations.write_text("# none\n12.1 Only products are not in brackets.\n9.9 There is no such rule.\n")
+    monkeypatch.setattr(analysis, "sources", lambda: [bad])
+    found = analysis.misra(deviations=deviations)
+    assert found.verdict == FAILED
+    assert found.findings == ("bad.c:4: rule 15.1", "misra.txt: nothing breaks rule 9.9; remedy: remove it")
+
+
 def test_an_entry_accepts_one_finding_of_its_check_in_its_file(tmp_path: Path) -> None:
     entry = '[[entry]]\ncheck = "zero"\nfile = "small.c"\nreason = "n is checked"\n'
     accepted = tmp_path / "accepted.toml"
@@ -217,7 +230,17 @@ def test_an_entry_accepts_one_finding_of_its_check_in_its_file(tmp_path: Path) -
 def test_a_missing_tool_is_not_evaluated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     given = command.DEFAULTS
-    for step in ("gcc", "clang", "clang-tidy", "cppcheck", "coverage", "fuzzing", "limits-x86-64", "limits-m7"):
+    for step in (
+        "gcc",
+        "clang",
+        "clang-tidy",
+        "cppcheck",
+        "misra",
+        "coverage",
+        "fuzzing",
+        "limits-x86-64",
+        "limits-m7",
+    ):
         found = command.STEPS[step](given)
         assert found.verdict == MISSING, step
         assert "not installed; remedy: apt install" in found.findings[0]
@@ -229,9 +252,9 @@ def test_the_end_says_what_failed_and_what_was_not_evaluated() -> None:
         return {step: {"verdict": verdict} for step, verdict in steps.items()}
 
     every = list(command.STEPS)
-    assert command.ending(content(), every) == (0, "verify: 9 steps passed")
+    assert command.ending(content(), every) == (0, "verify: 10 steps passed")
     status, text = command.ending(content(clang_tidy=MISSING), every)
-    assert (status, text) == (3, "verify: 8 steps passed; 1 not evaluated: clang-tidy")
+    assert (status, text) == (3, "verify: 9 steps passed; 1 not evaluated: clang-tidy")
     status, text = command.ending(content(clang_tidy=MISSING, fuzzing=FAILED), every)
     assert status == 1 and text.endswith("1 failed: fuzzing; 1 not evaluated: clang-tidy")
     assert command.ending(content(fuzzing=FAILED), ["gcc", "clang"])[0] == 0
