@@ -140,8 +140,6 @@ CONTENDERS = Limit("contenders", 3, "1", "convention",
     "Entries of the catalogue that are each compared about their own model, beside what was named or in its place.")
 STEP_LEAVES = Limit("step leaves", 0.5, "1", "trial",
     "Share of what is left over that one of them may leave to be taken, if all of them leave as little as is asked.")
-DRAWN_TOGETHER = Limit("drawn together", 60_000, "1", "convention",
-    "Instants of the readings of a twin that are drawn at a time: about so many fit into the cache of a processor.")
 CHANCE_Z = Limit("chance z", 1.645, "1", "convention",
     "One-sided 95 % limit of the normal distribution.")
 SHAPE_GAINS = Limit("shape gains", 0.01, "1", "trial",
@@ -198,19 +196,22 @@ DRAWS = Limit("draws", 20, "1", "derived",
     "Readings of a twin: enough to know a standard deviation to 16 %.")
 FEW_DRAWS = Limit("few draws", 4, "1", "trial",
     "Draws that are enough to weight the balances of a study that is made again, and to rank columns.")
+DRAWN_TOGETHER = Limit("drawn together", 60_000, "1", "convention",
+    "Instants of the readings of a twin that are drawn at a time: about so many fit into the cache of a processor.")
 MOTION_DRAWS = Limit("motion draws", 6, "1", "convention",
     "Draws of a twin that judge a proposed motion.")
 VARIANTS = Limit("variants", ((0.5, 1.0), (2.0, 1.0), (1.0, 0.5), (1.0, 1.5), (0.5, 1.5), (2.0, 0.5)),
     "1", "convention",
     "Speed and amplitude of proposed motions, as multiples of the first run's.")
 LARGE_ERROR_Z = Limit("large error z", 3.0, "1", "convention",
-    "Standard deviations of what the arm file knows of a sensor beyond which its error is taken off the records.")
+    "Standard deviations of what the arm file knows of a sensor beyond which its error competes with effects, and what "
+    "the square of such an error costs.")
 MOST_FREED = Limit("most freed", 4, "1", "trial",
-    "Errors of sensors that are freed at most.")
+    "Errors of sensors that may win against effects at most.")
 FREED_AT_A_TIME = Limit("freed at a time", 8, "1", "trial",
     "Errors of sensors that are tried at a time.")
 FREED_LEAVES = Limit("freed leaves", 0.5, "1", "trial",
-    "Share of what a fit pays for all errors of sensors that may be left by one that is freed.")
+    "Share of what a fit leaves over and pays for errors of sensors that may be left where one of them is free.")
 ERROR_STEPS = Limit("error steps", 8, "1", "convention",
     "Steps by which the size of an error of a sensor is found at most.")
 ERROR_CLOSE = Limit("error close", 0.001, "1", "convention",

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""What is named in part has a size whose sign is certain; what has not is left out, or the answer is unknown."""
+"""What is named in part has a size whose sign is certain; what has not is left out, or the answer is unknown. Errors of
+sensors compete with it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from plant_runs_support import planar_trial, records
 
@@ -14,13 +16,13 @@ from zygos import limits
 from zygos.dynamics.equations import from_model
 from zygos.effects import CATALOGUE
 from zygos.gap import explain as module
-from zygos.gap.balances import Layout
+from zygos.gap.balances import Layout, corrected
 from zygos.gap.findings import Finding, Significance
 from zygos.gap.null import chance
 from zygos.gap.record import MeasuredRun
-from zygos.gap.search import Search, candidates, struck
+from zygos.gap.search import Search, _freed, candidates, struck
 from zygos.gap.sentences import verdict as said
-from zygos.gap.study import again, begin, read_hypothesis
+from zygos.gap.study import Study, again, begin, read_hypothesis
 from zygos.gap.verdicts import Lacking, PartNamed, Unexplained, Verdict
 
 REAL, SPURIOUS = "motor_coulomb2", "motor_viscous1"
@@ -42,6 +44,14 @@ def test_the_interval_says_a_sign(value: float, sigma: float, assumed: float | N
     assert finding("angular_momentum", "elbow", value, sigma, assumed).signed == signed
 
 
+def test_no_friction_may_be_negative() -> None:
+    """Its interval ends where values end that it may have, and then does not say a sign."""
+    unsure = finding("motor_coulomb", "elbow", 2.0, 1.7)
+    assert unsure.interval == (0.0, pytest.approx(2.0 + limits.INTERVAL_Z.value * 1.7))
+    assert not unsure.signed
+    assert finding("torque_offset", "elbow", 2.0, 1.7).interval[0] < 0.0
+
+
 @pytest.fixture(scope="module")
 def runs() -> tuple[MeasuredRun, ...]:
     """Coulomb friction at the elbow, in 5 s of each of two runs."""
@@ -49,9 +59,34 @@ def runs() -> tuple[MeasuredRun, ...]:
 
 
 @pytest.fixture(scope="module")
-def found(runs: tuple[MeasuredRun, ...]) -> Search:
+def before(runs: tuple[MeasuredRun, ...]) -> Study:
+    """The model's own equations."""
+    return begin(runs, read_hypothesis(Layout(ARM), MODEL), from_model(ARM, MODEL))
+
+
+def freed(study: Study) -> tuple[str, ...]:
+    """Errors of sensors that a search would free first."""
+    found = _freed(study, candidates(study, study, limits.NAMED_Z.value))
+    return () if found is None else found.layout.loose
+
+
+def test_a_friction_is_no_error_of_a_sensor(before: Study) -> None:
+    """Although it makes them look large."""
+    assert np.abs(before.pulls).max() > 10.0
+    assert not freed(before)
+
+
+def test_an_encoder_whose_zero_is_off(before: Study) -> None:
+    layout = before.layout
+    wrong = np.where(np.array(layout.zeros) == "motor_zero2", -0.01, 0.0)
+    read = [corrected(one, layout, wrong) for one in before.records]
+    off = begin(read, before.hypothesis, from_model(ARM, MODEL))
+    assert freed(off) == ("motor_zero2",)
+
+
+@pytest.fixture(scope="module")
+def found(before: Study) -> Search:
     """A search that named the friction, and another effect beside it."""
-    before = begin(runs, read_hypothesis(Layout(ARM), MODEL), from_model(ARM, MODEL))
     listed = {one.name: one for one in candidates(before, before, limits.NAMED_Z.value)}
     effects = (*before.hypothesis.effects, REAL, SPURIOUS)
     after = again(before, replace(before.hypothesis, effects=effects))

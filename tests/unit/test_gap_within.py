@@ -20,7 +20,7 @@ from zygos.gap.changes import BODIES, find_change, settled
 from zygos.gap.content import change_json
 from zygos.gap.explain import explain
 from zygos.gap.record import MeasuredRun
-from zygos.gap.study import begin, part_of, read_hypothesis, zeroed
+from zygos.gap.study import begin, part_of, read_hypothesis
 from zygos.gap.verdicts import Changed
 from zygos.model.model import Model
 
@@ -73,7 +73,7 @@ def test_too_little_after_it() -> None:
     """In the last arc nothing is left that could say what the arm is since then."""
     first, second, _ = flown(12.0)
     short = first, replace(second, starts=second.starts[:2])
-    study = zeroed(begin(short, read_hypothesis(Layout(TRIAL.arm), MODEL), from_model(TRIAL.arm, MODEL)))
+    study = begin(short, read_hypothesis(Layout(TRIAL.arm), MODEL), from_model(TRIAL.arm, MODEL))
     # the runs as if nothing had changed, with errors of sensors that stand for what did
     study = replace(study, records=short, applied=np.zeros_like(study.applied))
     change = find_change(study, [])

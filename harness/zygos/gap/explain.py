@@ -57,7 +57,6 @@ from zygos.gap.study import (
     realise,
     sensor_effects,
     split,
-    zeroed,
 )
 from zygos.gap.torques import with_hidden_noise, with_torque_noise
 from zygos.gap.twin import follow
@@ -188,10 +187,12 @@ class _Explainer:
                     refit, found, gap = better
                     basis, arm, layout = refit, self.arm, Layout(self.arm)
             if changed is None and found.named:
-                closer = self._with_constant_errors(delivered, refit, found, gap)
+                closer = self._with_constant_errors(delivered, _own(refit, basis, found), found, gap)
                 if closer is not None:
                     found, gap = closer
                     arm, layout = self.arm, Layout(self.arm)
+        if found is not None and _own(refit, basis, found) is not refit:
+            basis = refit = found.before
         if skewed:
             gap = self._gap(delivered, refit, basis, found)
 
@@ -228,7 +229,7 @@ class _Explainer:
             gap,
             local,
             adopted,
-            _certain(self.remarks, verdict),
+            tuple(self.remarks),
             self.validate,
         )
 
@@ -380,7 +381,7 @@ class _Explainer:
 
     def _own_equations(self) -> Study:
         hypothesis = replace(read_hypothesis(Layout(self.arm), self.simulation), without=self.without)
-        return zeroed(begin(self.measured, hypothesis, from_model(self.arm, self.simulation)))
+        return begin(self.measured, hypothesis, from_model(self.arm, self.simulation))
 
     def _take(self, arm: Arm) -> None:
         """Read the runs as those of this arm."""
@@ -404,6 +405,10 @@ class _Explainer:
         gained = self._gained(basis, found.after)
         if gained is not basis:
             basis, found = gained, search(gained, lambda what: self.step(0.45, what))
+
+        def gap_with(found: Search) -> Gap | None:
+            return self._gap(delivered, _own(refit, basis, found), found.after, found)
+
         every: Study | None = None
         plain = found
         if found.named:
@@ -427,14 +432,14 @@ class _Explainer:
             for study in (basis, *(() if every is None else (every,))):
                 changed, later, earlier = self._changed(found, study, basis.layout)
                 if changed is not None:
-                    told = self._gap(delivered, refit, later.after, later, limits.SYSTEMATIC.value)
+                    told = self._gap(delivered, _own(refit, basis, found), later.after, later, limits.SYSTEMATIC.value)
                     if _closes_before(earlier) if told is None else _predicts(told) or _closes_with(earlier, told):
                         return later, told, changed
-        gap = self._gap(delivered, refit, found.after, found)
+        gap = gap_with(found)
         if every is None and gap is not None and gap.struck is not None and _worse(gap, gap.struck):
             # a share of a large excess says little: what the untouched run speaks against stood for something else
             _, wider = self._wider(basis)
-            instead = None if wider is None or not wider.named else self._gap(delivered, refit, wider.after, wider)
+            instead = None if wider is None or not wider.named else gap_with(wider)
             if wider is not None and instead is not None and closes(instead):
                 return wider, instead, None
         return found, gap, None
@@ -635,7 +640,8 @@ class _Explainer:
             return list(records)
         told = np.where(torque, 0.0, off)
         if told.any():
-            self._remark(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, told, strict=True) if x)))
+            off_ones = tuple((n, float(x)) for n, x in zip(layout.zeros, told, strict=True) if x)
+            self._remark(ZerosOff(off_ones, all(name in layout.loose for name, _ in off_ones)))
         known = [corrected(record, layout, off) for record in records]
         offsets = np.array([name.startswith("torque_zero") for name in layout.zeros])
         if not offsets.any():
@@ -838,12 +844,7 @@ class _Explainer:
 
     def _apart(self, study: Study) -> tuple[Disagreement, ...]:
         """Parameters on which two runs disagree by more than their twins' noise and by more than a trifle."""
-        hypothesis = study.hypothesis
-        runs = range(len(study.records))
-        each = np.stack([study.of(hypothesis, [k]).value for k in runs])
-        drawn = np.stack([study.of_twin(hypothesis, [k]).value for k in runs])
-        # what each run's twin makes of the values that it was made with is no difference of the runs
-        each, variance = each - drawn.mean(axis=1) + study.made, drawn.var(axis=1, ddof=1)
+        hypothesis, (each, spread) = study.hypothesis, study.by_run
         units = dict(zip(self.arm.parameter_names, self.arm.parameter_units, strict=True))
         out = []
         for k, name in enumerate(hypothesis.names):
@@ -855,8 +856,8 @@ class _Explainer:
             )
             least = limits.MATERIAL_DIFFERENCE.value * max(abs(float(study.value[k])), limits.MOVES.value * largest)
             pairs = [
-                (abs(float(each[i, k] - each[j, k])) / float(np.sqrt(variance[i, k] + variance[j, k])), i, j)
-                for i, j in combinations(runs, 2)
+                (abs(float(each[i, k] - each[j, k])) / float(np.hypot(spread[i, k], spread[j, k])), i, j)
+                for i, j in combinations(range(len(each)), 2)
                 if abs(each[i, k] - each[j, k]) > least
             ]
             z, i, j = max(pairs, default=(0.0, 0, 0))
@@ -950,6 +951,11 @@ def _damping(value: Value) -> float:
     return 0.0 if negative else value.found
 
 
+def _own(refit: Study, basis: Study, found: Search) -> Study:
+    """The refit that a search began with: with the errors of sensors that were found before anything was missing."""
+    return found.before if basis is refit and found.before.layout.loose else refit
+
+
 def _too_quiet(study: Study) -> NDArray[np.bool_]:
     """(runs, balances) whether a fit is better than noise allows: noise was taken out of its sums that was never
     there."""
@@ -1004,12 +1010,6 @@ def _explains_more(wider: Search, found: Search) -> bool:
     """Whether a search among more entries leaves less over, by more than a trifle."""
     share, before = (min(one.completeness) if one.named else 0.0 for one in (wider, found))
     return share > before + limits.TRIFLE.value or (share >= before and not excess(wider.after) and excess(found.after))
-
-
-def _certain(remarks: Sequence[Remark], verdict: Verdict) -> tuple[Remark, ...]:
-    """The remarks, where zeros of sensors are certain to be off if nothing else has to be assumed beside them."""
-    alone = isinstance(verdict, NothingMissing | ValuesDiffer)
-    return tuple(replace(one, certain=alone) if isinstance(one, ZerosOff) else one for one in remarks)
 
 
 def _between_runs(study: Study, hypothesis: Hypothesis, part: Callable[[Array], Array]) -> Array:

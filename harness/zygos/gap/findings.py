@@ -132,8 +132,9 @@ class Finding:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 %."""
-        return self.value - limits.INTERVAL_Z.value * self.sigma, self.value + limits.INTERVAL_Z.value * self.sigma
+        """95 %, of values that the entry may have."""
+        low, high = (self.value + z * self.sigma for z in (-limits.INTERVAL_Z.value, limits.INTERVAL_Z.value))
+        return (0.0 if low < 0.0 < high and self.entry is not None and self.entry.positive else low), high
 
     @property
     def signed(self) -> bool:

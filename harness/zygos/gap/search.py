@@ -19,7 +19,7 @@ from zygos.gap.balances import Acting
 from zygos.gap.findings import Disagreement
 from zygos.gap.fit import Fit, Hypothesis, fit, shares_of_pairs
 from zygos.gap.null import Chance, chance, null_sigmas
-from zygos.gap.study import Study, again, laid_out
+from zygos.gap.study import Study, again, laid_out, price
 from zygos.quantiles import chi_square_isf, chi_square_ppf, normal_sf
 
 Array = NDArray[np.float64]
@@ -164,20 +164,19 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None, every: St
     while True:
         step(f"round {len(rounds) + 1}: every candidate")
         listed = candidates(now, before, luck.threshold)
+        freed = _freed(now, listed)
+        if freed is not None:
+            now, before = freed, before if named else freed
+            continue
         rounds.append(listed)
         done = bool(named) and min(share) >= limits.COMPLETE.value
         passing = (c for c in listed if c.passes and (not done or c.of_rest >= limits.REST.value))
         best = _simplest(next(passing, None), listed)
         if best is None and not named and excess(now):
             step("pairs of candidates")
-            pair = _pair(now, listed, luck.threshold)
-            if pair is not None:
-                both = (*now.hypothesis.effects, *(candidate.name for candidate in pair))
-                try:
-                    now = again(now, replace(now.hypothesis, effects=both))
-                except Undecided:
-                    break
-                named += pair
+            paired = _paired(now, listed, luck.threshold)
+            if paired is not None:
+                named, now = paired
                 share = completeness(before, now.excess * before.noise)
                 continue
         over = (bool(named) and not done) or excess(now) or noisy(now)
@@ -198,7 +197,7 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None, every: St
         if every is not None and (min(share) < limits.COMPLETE.value or excess(now)):
             step(f"round {len(rounds) + 1}: every entry of the catalogue")
             now = shortlisted(now, widened(now), own)
-    named, now = _retest(named, now, before)
+    named, now = _retest(named, _held_again(now) if named else now, before)
     share = completeness(before, now.excess * before.noise)
     sets = tuple(_inseparable(candidate, now, before) for candidate in named)
     return Search(before, now, tuple(named), tuple(rounds), share, sets, luck)
@@ -212,7 +211,7 @@ def refined(found: Search, every: Study) -> Search:
     now = replace(found, chance=luck)
     wide: Study | None = every
     if found.after.layout.loose:
-        # errors of sensors that were set free before effects were tried compete with these, and pay
+        # errors of sensors won against the usual entries, and compete with all others once more
         held = replace(found.after.layout, loose=())
         now, wide = replace(now, after=again(found.after, found.after.hypothesis, limits.FEW_DRAWS.value, held)), None
     first, begun = now.after, _left(now)
@@ -356,19 +355,13 @@ def limits_beyond(study: Study, every: Study) -> tuple[Limit, ...]:
 def unsteady(found: Search) -> tuple[Disagreement, ...]:
     """The named effects whose size is another on each run, by more than noise and than a trifle."""
     study, out = found.after, []
-    for k, name in enumerate(study.hypothesis.names):
-        if name not in {one.name for one in found.named}:
-            continue
-        null = [study.of_twin(study.hypothesis, [run]).of(name) for run in range(len(study.records))]
-        each = [
-            float(study.of(study.hypothesis, [run]).of(name) - draw.mean() + study.made[k])
-            for run, draw in enumerate(null)
-        ]
-        spread = max(float(draw.std(ddof=1)) for draw in null)
-        if max(each) - min(each) > max(
-            limits.AGREE_Z.value * spread, limits.STEADY_SHARE.value * abs(float(study.value[k]))
-        ):
-            out.append(Disagreement(name, each[0], max(each[1:], key=lambda x: abs(x - each[0]))))
+    for one in found.named:
+        k = study.hypothesis.names.index(one.name)
+        each, spread = (x[:, k] for x in study.by_run)
+        apart = max(limits.AGREE_Z.value * spread.max(), limits.STEADY_SHARE.value * abs(float(study.value[k])))
+        if np.ptp(each) > apart:
+            other = float(each[np.argmax(np.abs(each - each[0]))])
+            out.append(Disagreement(one.name, float(each[0]), other))
     return tuple(out)
 
 
@@ -476,11 +469,7 @@ def judged_beside(found: Search, study: Study) -> Search | None:
     None where a name is no candidate beside these, they do not explain nearly everything, or another entry of the
     catalogue might take the place of one. Errors: Undecided where the runs do not tell the columns apart."""
     share = completeness(found.before, study.excess * study.noise)
-    runs, level = range(len(study.records)), found.chance.threshold
-    each = np.stack([study.of(study.hypothesis, [k]).value for k in runs])
-    drawn = np.stack([study.of_twin(study.hypothesis, [k]).value for k in runs])
-    each, spread = each - drawn.mean(axis=1) + study.made, drawn.std(axis=1, ddof=1)
-    named = []
+    (each, spread), level, named = study.by_run, found.chance.threshold, []
     for one in found.named:
         k = study.hypothesis.names.index(one.name)
         value, own, sigma = float(study.value[k]), each[:, k].tolist(), spread[:, k].tolist()
@@ -533,8 +522,59 @@ def _reshaped(found: Search, one: Candidate, count: int) -> Search:
     )  # fmt: skip
 
 
-def _pair(now: Study, listed: Sequence[Candidate], level: float) -> list[Candidate] | None:
-    """The two candidates that explain everything together where each alone passes for nothing; the best such pair."""
+def _freed(now: Study, listed: Sequence[Candidate]) -> Study | None:
+    """The study with a few errors of sensors free that explain more than any candidate does, and half of
+    what the fit costs; None where there are none. What the arm file says of the sensors spreads a large error of one of
+    them over several."""
+    begun = cost = price(now, now.fit)
+    kept: Hypothesis | None = None
+    layout = now.layout
+    while len(layout.loose) < limits.MOST_FREED.value:
+        fitted = now.fit if kept is None else now.of(kept)
+        bound = now.layout.of_torque | np.array([name in layout.loose for name in layout.zeros])
+        pulls = np.where(bound, 0.0, np.abs((now.applied + fitted.zeros) / layout.declared_sigma).max(axis=0))
+        tried = []
+        for k in np.argsort(-pulls)[: limits.FREED_AT_A_TIME.value]:
+            if pulls[k] > limits.LARGE_ERROR_Z.value:
+                free = replace(layout, loose=(*layout.loose, layout.zeros[k]))
+                hypothesis = replace(now.hypothesis, layout=free)
+                tried.append((price(replace(now, hypothesis=hypothesis), now.of(hypothesis)), hypothesis))
+        least, best = min(tried, key=lambda one: one[0], default=(np.inf, now.hypothesis))
+        if not _worth(cost, least):
+            break
+        cost, kept, layout = least, best, best.layout
+    if kept is None:
+        return None
+    passing = (one for one in listed if one.passes)
+    best_one = min(passing, key=lambda one: one.left + one.paid, default=None)
+    if best_one is not None:
+        wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, best_one.name))
+        begun = price(now, now.of(wider))
+    if cost < begun:
+        with suppress(Undecided):
+            return again(again(now, kept, limits.FEW_DRAWS.value), kept)
+    return None
+
+
+def _worth(held: float, free: float) -> bool:
+    """Whether to free an error of a sensor, from what fits cost."""
+    return held - free > max((1.0 - limits.FREED_LEAVES.value) * held, limits.LARGE_ERROR_Z.value**2)
+
+
+def _held_again(now: Study) -> Study:
+    """The study without freedom of those errors of sensors that explain little of what it costs to hold them."""
+    for name in now.layout.loose:
+        held = replace(now.layout, loose=tuple(other for other in now.layout.loose if other != name))
+        hypothesis = replace(now.hypothesis, layout=held)
+        cost = price(replace(now, hypothesis=hypothesis), now.of(hypothesis))
+        if not _worth(cost, price(now, now.fit)):
+            now = again(now, hypothesis)
+    return now
+
+
+def _paired(now: Study, listed: Sequence[Candidate], level: float) -> tuple[list[Candidate], Study] | None:
+    """The two candidates that explain everything together where each alone passes for nothing, the best such pair, and
+    the study with both."""
     best: list[Candidate] | None = None
     for first, second in _promising(now, listed):
         wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, first.name, second.name))
@@ -548,7 +588,11 @@ def _pair(now: Study, listed: Sequence[Candidate], level: float) -> list[Candida
         found = [one for one in each if one is not None and one.passes]
         if len(found) == 2 and (best is None or found[1].left < best[1].left):
             best = found
-    return best
+    if best is not None:
+        both = (*now.hypothesis.effects, *(candidate.name for candidate in best))
+        with suppress(Undecided):
+            return best, again(now, replace(now.hypothesis, effects=both))
+    return None
 
 
 def _promising(now: Study, listed: Sequence[Candidate]) -> Iterator[tuple[Candidate, Candidate]]:
@@ -711,7 +755,12 @@ def _limit(now: Study, name: str, null: list[Array], level: float) -> float:
 
 
 def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, ...]:
-    """The candidate, and what explains as much in its place while it is not significant beside it."""
+    """The candidate, and what explains as much in its place while it is not significant beside it.
+
+    Where a law in its best shape leaves something over, it is not exactly this law, and which of its family is nearest
+    is open.
+    """
+    open_form = candidate.kind.shape_varies and float(np.nanmax(now.excess)) > limits.CLOSED_BALANCE.value
     rest = tuple(name for name in now.hypothesis.effects if name != candidate.name)
     together = [candidate.name]
     seen = {candidate.name.partition("@")[0]}
@@ -728,6 +777,10 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
             if kind.positive and alone.of(other) < 0.0:
                 continue
         except Undecided:
+            continue
+        if open_form and (kind.family, one.joint) == (candidate.kind.family, candidate.joint):
+            together.append(other)
+            seen.add(one.plain)
             continue
         try:
             beside, spread = now.of(both).of(candidate.name), now.of_twin(both).of(candidate.name).std(ddof=1)

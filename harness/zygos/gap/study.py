@@ -99,6 +99,14 @@ class Study:
         """(coefficients,) what the twins were made with."""
         return np.asarray(self.of_twin(self.hypothesis).value.mean(axis=0) - self.bias, dtype=np.float64)
 
+    @cached_property
+    def by_run(self) -> tuple[Array, Array]:
+        """(runs, coefficients) of a fit of each run alone, without what it makes of the values that its twin was made
+        with, and standard deviations."""
+        each = np.stack([self.of(self.hypothesis, [k]).value for k in range(len(self.records))])
+        drawn = np.stack([self.of_twin(self.hypothesis, [k]).value for k in range(len(self.records))])
+        return each - drawn.mean(axis=1) + self.made, drawn.std(axis=1, ddof=1)
+
     @property
     def zeros(self) -> Array:
         """(runs, zeros) errors of the sensors: those that were taken off the records, and what is found beside them."""
@@ -270,15 +278,15 @@ def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: Driv
     accepted = tuple(followed(record.arm, record.readings()) for record in records)
     applied = np.zeros((len(records), len(hypothesis.layout.zeros)))
     first = _study(tuple(records), accepted, hypothesis, dynamics, limits.FEW_DRAWS.value, applied)
-    return again(again(first, hypothesis, limits.FEW_DRAWS.value) if _off(first).any() else first, hypothesis)
+    return again(again(first, hypothesis, limits.FEW_DRAWS.value) if hypothesis.layout.loose else first, hypothesis)
 
 
 def again(study: Study, hypothesis: Hypothesis, count: int = limits.DRAWS.value, layout: Layout | None = None) -> Study:
     """The same runs under another hypothesis: its fit, and a twin of its own with `count` draws. layout: other columns
     than those of the study.
 
-    Errors of sensors far beyond what is known of them are taken off the records, because their columns are those of
-    small errors. Those that the hypothesis has are found step by step: the column of a large one depends on its size.
+    Errors of sensors that are free are taken off the records, because their columns are those of small errors. Those
+    that the hypothesis has are found step by step: the column of a large one depends on its size.
     """
     wanted = hypothesis if layout is None else replace(hypothesis, layout=layout)
     for _ in range(limits.ERROR_STEPS.value):
@@ -304,8 +312,8 @@ def _pairs(sensors: Sequence[Effect], known: Sequence[Effect]) -> list[tuple[Eff
 def _again(study: Study, hypothesis: Hypothesis, count: int, wanted: Hypothesis) -> Study:
     first = study.of(hypothesis)
     records, applied = study.records, study.applied
-    found = replace(study, fit=replace(study.fit, zeros=first.zeros))
-    off = np.where(_off(found), found.zeros, 0.0)
+    free = np.array([name in wanted.layout.loose for name in study.layout.zeros], dtype=np.bool_)
+    off = np.where(free, applied + first.zeros, 0.0)
     if not np.array_equal(off, applied):
         changed = zip(records, off - applied, strict=True)
         records = tuple(corrected(record, study.layout, change) for record, change in changed)
@@ -346,41 +354,11 @@ def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Stud
     )
 
 
-def zeroed(study: Study) -> Study:
-    """The same runs where the few errors of sensors that explain most of what a fit pays for all of them are free.
-
-    What the arm file says of the sensors spreads a large error of one of them over several.
-    """
-    for _ in range(limits.MOST_FREED.value):
-        loose = np.array([name in study.layout.loose for name in study.layout.zeros])
-        pulls = np.where(study.layout.of_torque | loose, 0.0, np.abs(study.pulls).max(axis=0))
-        paid = _paid(study, study.fit)
-        tried: list[tuple[float, Hypothesis]] = []
-        for k in np.argsort(-pulls)[: limits.FREED_AT_A_TIME.value]:
-            if pulls[k] <= limits.LARGE_ERROR_Z.value:
-                continue
-            layout = replace(study.layout, loose=(*study.layout.loose, study.layout.zeros[k]))
-            freed = replace(study.hypothesis, layout=layout)
-            tried.append((_paid(replace(study, hypothesis=freed), study.of(freed)), freed))
-        if not tried:
-            break
-        least, hypothesis = min(tried, key=lambda one: one[0])
-        if least > limits.FREED_LEAVES.value * paid:
-            break
-        study = again(study, hypothesis)
-    return study
-
-
-def _paid(study: Study, found: Fit) -> float:
-    """What a fit leaves over, and what it pays for errors of sensors."""
+def price(study: Study, found: Fit) -> float:
+    """What a fit leaves over beyond noise, and what it pays for errors of sensors: squares of their deviations."""
     known = ~study.layout.of_torque
     pulls = (study.applied + found.zeros)[:, known] / study.layout.zero_sigma[known]
     return float(np.nansum(study.independent * ((found.rms / study.noise) ** 2 - 1.0)) + np.sum(pulls**2))
-
-
-def _off(study: Study) -> NDArray[np.bool_]:
-    """(runs, zeros) which errors of encoders and gyro are large; balances are linear in those of torques."""
-    return np.asarray((np.abs(study.pulls) > limits.LARGE_ERROR_Z.value) & ~study.layout.of_torque)
 
 
 def _possible(hypothesis: Hypothesis, value: Array, known: Drives) -> Drives:

@@ -281,7 +281,7 @@ class ZerosOff:
     zeros: tuple[tuple[str, float], ...]
     """Columns, and by how much: rad, of the gyro rad/s."""
     certain: bool = False
-    """Whether nothing else is missing beside them. Zeros may stand for an effect that the model lacks."""
+    """Whether they explain more than any effect does in their place. Others may stand for one that the model lacks."""
 
 
 @dataclass(frozen=True)
