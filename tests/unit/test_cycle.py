@@ -271,6 +271,10 @@ def test_saturated_coarse_gyro(coarse: Bus, codes: tuple[int, int, int]) -> None
     spoilt(coarse, 4, coarse.rates(2, codes)[0], saturated=1, incomplete=1, dropped=1)
 
 
+def test_a_coarse_gyro_that_says_its_rates_are_bad(coarse: Bus) -> None:
+    spoilt(coarse, 4, coarse.rates(2, status=14)[0], gyro_invalid=1, incomplete=1, dropped=1)
+
+
 def test_codes_beside_the_outermost_are_values(bus: Bus) -> None:
     frames = [
         bus.angles(0, 1, 8388607, -8388607),
