@@ -220,6 +220,15 @@ def test_a_friction_that_begins_in_the_second_run_is_a_change() -> None:
     assert change.new[0] == pytest.approx(0.1 * size(), rel=0.02)
 
 
+@pytest.mark.slow
+def test_a_load_from_the_second_run_on_is_a_change_and_no_friction() -> None:
+    """Far more than noise is left over of all runs together, but what takes it up is not the usual friction."""
+    x = _lacking([nothing, *[lambda q, qd: 0.2 * size() * np.sin(q)] * 2])
+    assert x.answer == "changed", x.sentence
+    assert x.model is not None and not x.model.effects
+    assert not x.search.beside
+
+
 def test_torques_that_are_reported_late_are_timing_first() -> None:
     runs = [
         replace(moved, frames=None, table=replace(moved.cycles, tau=np.roll(moved.cycles.tau, 2, axis=0)))

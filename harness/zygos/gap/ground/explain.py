@@ -16,6 +16,7 @@ from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.adopted import Adopted, Check, NotAdopted
+from zygos.gap.changes import Change
 from zygos.gap.findings import ASYMMETRY, Finding, Repeated, Value
 from zygos.gap.ground.bias import confirmed
 from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
@@ -27,7 +28,7 @@ from zygos.gap.ground.fit import Fit, fit, jackknife, residual
 from zygos.gap.ground.form import form_sigmas
 from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
-from zygos.gap.ground.search import Search, beside_all, in_time, is_gain, search
+from zygos.gap.ground.search import Search, beside_all, in_time, is_gain, search, without
 from zygos.gap.ground.sentences import gains, offset, unnamed
 from zygos.gap.ground.shapes import open_shapes, with_best_shapes
 from zygos.gap.ground.timing import lateness, torque_constants
@@ -131,9 +132,7 @@ class _Explainer:
         if not found.last and all(is_gain(one.candidate) for one in found.named):
             found = beside_all(table, found)
         self.step(0.78, "changes within and between runs")
-        changed = find_change(table, found.after)
-        if changed is not None:
-            found = replace(found, after=changed[1])
+        found, changed = _changed(table, found)
         self.step(0.8, "predictions of the untouched runs")
         sizes = _Sizes.of(table, found)
         forms = form_sigmas(self.simulation, table, found, stage_of(table.layout, "closed", found.after), twins)
@@ -488,6 +487,18 @@ class _Explainer:
             and one.name not in known
             and (sizes[one.name][0] > 0.0 or not one.positive)
         ]
+
+
+def _changed(table: Table, found: Search) -> tuple[Search, tuple[Change, Fit] | None]:
+    """What changed, and the search with the fit of what was recorded after it."""
+    changed = find_change(table, found.after)
+    if changed is None:
+        return found, None
+    # what the usual friction took up is the change's
+    bare = without(table, found, [one.name for one in found.unnamed(table.layout)])
+    again = find_change(table, bare.after)
+    found, changed = (found, changed) if again is None else (bare, again)
+    return replace(found, after=changed[1]), changed
 
 
 class _Sizes:
