@@ -197,7 +197,8 @@ DRAWS = Limit("draws", 20, "1", "derived",
 FEW_DRAWS = Limit("few draws", 4, "1", "trial",
     "Draws that are enough to weight the balances of a study that is made again, and to rank columns.")
 DRAWN_TOGETHER = Limit("drawn together", 60_000, "1", "convention",
-    "Instants of the readings of a twin that are drawn at a time: about so many fit into the cache of a processor.")
+    "Rates of the base, times joints, in the readings of a twin that are summed at a time: what so many make fits into "
+    "the cache of a processor.")
 MOTION_DRAWS = Limit("motion draws", 6, "1", "convention",
     "Draws of a twin that judge a proposed motion.")
 VARIANTS = Limit("variants", ((0.5, 1.0), (2.0, 1.0), (1.0, 0.5), (1.0, 1.5), (0.5, 1.5), (2.0, 0.5)),

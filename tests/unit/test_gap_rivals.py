@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from trial_support import runs_of, sampled
 
@@ -17,7 +18,7 @@ from zygos.effects import CATALOGUE
 from zygos.gap.balances import Acting, Layout
 from zygos.gap.null import chance
 from zygos.gap.runs import record_of
-from zygos.gap.search import Candidate, Search, candidates, completeness, rivals, unsteady
+from zygos.gap.search import Candidate, Search, _inseparable, candidates, completeness, rivals, unsteady
 from zygos.gap.study import Study, again, begin, laid_out, read_hypothesis
 
 COULOMB, VISCOUS, DRAG = "link_coulomb1", "link_viscous1", "drag on the base"
@@ -61,6 +62,21 @@ def test_what_is_taken_for_a_usual_entry_is_found_in_the_catalogue(hidden: str, 
     every = laid_out(found.after, replace(found.after.layout, own=tuple(last)), limits.FEW_DRAWS.value)
     # friction that bends over a short distance becomes Coulomb friction, and is no other law
     assert [one.name for one in rivals(found, every)] == instead
+
+
+@pytest.mark.slow
+def test_which_law_of_a_family_is_nearest_is_open_where_none_is_exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Coulomb friction that is taken for one that bends, and that would be told from it if the balances closed."""
+    study = before(COULOMB)
+    bent = Acting(CATALOGUE["link_dahl"], 0, shape=3e-3)
+    wider = laid_out(study, replace(study.layout, own=(bent,)))
+    after = again(wider, replace(wider.hypothesis, effects=(bent.name,)))
+    one = replace(named(COULOMB, COULOMB).named[0], name=bent.name, kind=bent.kind, shape=bent.shape)
+    monkeypatch.setattr(limits, "NAMED_Z", replace(limits.NAMED_Z, value=0.0))
+    rho = np.nanmax(after.excess) / limits.CLOSED_BALANCE.value
+    closed, opened = (_inseparable(one, replace(after, noise=after.noise * rho * k), study) for k in (1.01, 0.99))
+    assert closed == (bent.name,)
+    assert opened == (bent.name, COULOMB)
 
 
 @pytest.mark.slow

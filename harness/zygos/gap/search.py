@@ -526,7 +526,7 @@ def _freed(now: Study, listed: Sequence[Candidate]) -> Study | None:
     """The study with a few errors of sensors free that explain more than any candidate does, and half of
     what the fit costs; None where there are none. What the arm file says of the sensors spreads a large error of one of
     them over several."""
-    begun = cost = price(now, now.fit)
+    bar = cost = price(now, now.fit)
     kept: Hypothesis | None = None
     layout = now.layout
     while len(layout.loose) < limits.MOST_FREED.value:
@@ -549,8 +549,8 @@ def _freed(now: Study, listed: Sequence[Candidate]) -> Study | None:
     best_one = min(passing, key=lambda one: one.left + one.paid, default=None)
     if best_one is not None:
         wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, best_one.name))
-        begun = price(now, now.of(wider))
-    if cost < begun:
+        bar = price(now, now.of(wider))
+    if cost < bar:
         with suppress(Undecided):
             return again(again(now, kept, limits.FEW_DRAWS.value), kept)
     return None

@@ -230,7 +230,7 @@ def draws(
 
     # several at a time, as many as stay in the cache of a processor; the exact readings are the first
     seen = [twin.exact, *(measure(twin, seed + k) for k in range(count))]
-    together = max(1, round(limits.DRAWN_TOGETHER.value / twin.exact.q[..., 0].size))
+    together = max(1, limits.DRAWN_TOGETHER.value // (twin.exact.omega0.size * twin.arm.n))
     parts = [sums(seen[k : k + together]) for k in range(0, count + 1, together)]
     grams = [np.concatenate(each) for each in zip(*(one.gram for one in parts), strict=True)]
     scores = [np.concatenate(each)[1:] for each in zip(*(one.scores or () for one in parts), strict=True)]
