@@ -11,6 +11,8 @@ from zygos.report.answer import Answer, Bar, Cards, Content, Counts, Facts, Item
 
 LINES = 10
 """Lines of an answer of which nobody asked for more."""
+_KEPT = 2
+"""Lines of the brief content that are shown however many others there are."""
 _MORE = "--details shows the tables"
 _WIDTH = 110
 """Of a line of short texts, in characters."""
@@ -32,10 +34,12 @@ def show(answer: Answer, *, details: bool = False) -> None:
                 if not (tabled and isinstance(one, Text) and one.kind == "plain"):  # it says how to read the page
                     _content(one)
         return
-    lines = [*lead, *(line for one in answer.facts for line in _brief(one)), *_packed(answer.brief)]
-    for text in lines[: LINES - 2]:
+    first = [*lead, *(line for one in answer.facts for line in _brief(one))]
+    last, room = _packed(answer.brief), LINES - 2
+    shown = [*first[: room - min(len(last), _KEPT)], *last][:room]
+    for text in shown:
         say(text)
-    more = len(lines) - (LINES - 2)
+    more = len(first) + len(last) - len(shown)
     say(f"{more} more; {_MORE}" if more > 0 else _MORE)
 
 
