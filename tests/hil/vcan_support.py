@@ -25,7 +25,7 @@ def listeners() -> int:
 
 
 def wait_for_listeners(count: int) -> None:
-    deadline = time.monotonic() + 60.0  # a guest in emulation takes long to start a process
+    deadline = time.monotonic() + 180.0  # a guest in emulation takes long to start a process
     while listeners() < count:
         assert time.monotonic() < deadline, "nobody listens"
         time.sleep(0.05)
