@@ -95,8 +95,8 @@ def export_mjcf(arm_file: Path, model_file: Path, mjcf: Path, out: Path) -> None
     files = own.save(out)
     for line in (*own.notes, *other_actuators(robot)):
         note(f"note: {line}")
-    added = [hinge.written for hinge in robot.hinges if hinge.spring is not None and hinge.spring.added]
-    springs = f", with springs at {', '.join(added)}" if added else ""
+    added = ", ".join(hinge.written for hinge in robot.added)
+    springs = f", with springs at {added}" if added else ""
     say(f"{', '.join(map(named, files))}: {mjcf.name} with the values of model {model.name}{springs}")
 
 

@@ -22,8 +22,6 @@ _ROTOR = 0.01
 that carries it becomes lighter by it."""
 _SMALL = 1e-9
 """Inertia of a rotor whose value is given later, kg m^2."""
-_QPOS, _DOF = {0: 7, 1: 4}, {0: 6, 1: 3}
-"""Angles and rates of a free joint and of a ball; others have one."""
 
 
 def with_springs(robot: Robot, arm: Arm) -> Robot:
@@ -78,13 +76,11 @@ def add_springs(edits: Edits, elements: Sequence[Element], view: View, hinges: S
             "frictionloss": written([spring.friction]), "armature": "0", "limited": "false",
         }  # fmt: skip
         rotor = spring.rotor.in_frame(attitude, hinge.anchor)
-        full = rotor.tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        mass = {"pos": written(rotor.centre), "mass": written([rotor.mass]), "fullinertia": written(full)}
         place = {"name": _new_name(document, f"{hinge.written}_rotor")}
         place["pos"] = written(attitude.T @ (hinge.anchor - origin))
         edits.insert(
             parent,
-            f"<body {attributes(place)}><joint {attributes(turning)}/><inertial {attributes(mass)}/></body>",
+            f"<body {attributes(place)}><joint {attributes(turning)}/><inertial {attributes(inertial(rotor))}/></body>",
         )
         tendons += _tendons(hinge, spring, motor)
         _act_on_rotor(edits, tree, hinge, spring, motor)
@@ -103,7 +99,7 @@ def attributes(values: Mapping[str, str]) -> str:
 
 def other_actuators(robot: Robot) -> list[str]:
     """Which actuators of joints with added springs are no motors, in sentences: what they should do is not clear."""
-    added = {one.written for one in robot.hinges if one.spring is not None and one.spring.added}
+    added = {hinge.written for hinge in robot.added}
     return [
         f"{one.file.name}, line {one.line}: <{one.tag}> still acts on joint {one.attributes['joint']}, behind its "
         f"spring: let it act on {one.attributes['joint']}_motor, which turns with the motor"
@@ -111,6 +107,12 @@ def other_actuators(robot: Robot) -> list[str]:
         for one in section.children
         if one.attributes.get("joint") in added and one.tag != "motor"
     ]
+
+
+def inertial(lump: Lump) -> dict[str, str]:
+    """The attributes of an `<inertial>`, in the axes of the lump."""
+    full = lump.tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return {"pos": written(lump.centre), "mass": written([lump.mass]), "fullinertia": written(full)}
 
 
 def _new_name(document: Document, name: str) -> str:
@@ -147,18 +149,17 @@ def _act_on_rotor(edits: Edits, tree: Any, hinge: Hinge, spring: Spring, motor: 
 def _complete_keyframes(edits: Edits, tree: Any, hinges: Sequence[Hinge]) -> None:
     """Give keyframes the angles and rates of the rotors, which stand behind those of the body that carries them."""
     carriers = [int(tree.body_parentid[int(tree.jnt_bodyid[hinge.number])]) for hinge in hinges]
-    kinds = list(zip(tree.jnt_bodyid.tolist(), tree.jnt_type.tolist(), strict=True))
+    behind = [int(np.argmax(tree.jnt_bodyid > carrier)) for carrier in carriers]
     for section in edits.document.root.all("keyframe"):
         for key in section.children:
-            for name, widths, addresses in (("qpos", _QPOS, tree.jnt_qposadr), ("qvel", _DOF, tree.jnt_dofadr)):
+            for name, addresses in (("qpos", tree.jnt_qposadr), ("qvel", tree.jnt_dofadr)):
                 if name not in key.attributes:
                     continue
                 values = [float(x) for x in key.attributes[name].split()]
-                at = [sum(widths.get(kind, 1) for body, kind in kinds if body <= carrier) for carrier in carriers]
                 turned = [
                     hinge.spring.ratio
                     * (values[int(addresses[hinge.number])] - (hinge.zero_rad if name == "qpos" else 0.0))
                     for hinge in hinges
                     if hinge.spring is not None
                 ]
-                edits.give(key, **{name: " ".join(f"{x:.10g}" for x in np.insert(values, at, turned))})
+                edits.give(key, **{name: " ".join(f"{x:.10g}" for x in np.insert(values, addresses[behind], turned))})

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from zygos.errors import ZygosError, installs
-from zygos.simulators.added import add_springs, attributes, gap, stiffness
+from zygos.simulators.added import add_springs, attributes, gap, inertial, stiffness
 from zygos.simulators.robot import Hinge, Lump, Owner, Robot, Spring, written
 from zygos.simulators.springs import HINGE, spring_of, springs_of, terms
 from zygos.simulators.view import View
@@ -204,9 +204,8 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
         body = int(tree.jnt_bodyid[number])
         return joints_of(elements[body - 1])[number - int(tree.body_jntadr[body])]
 
-    def inertial(body: int, lump: Lump) -> None:
-        full = lump.tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        entries = {"pos": written(lump.centre), "mass": written([lump.mass]), "fullinertia": written(full)}
+    def weigh(body: int, lump: Lump) -> None:
+        entries = inertial(lump)
         present = elements[body - 1].first("inertial")
         if present is None:
             edits.insert(elements[body - 1], f"<inertial {attributes(entries)}/>")
@@ -228,13 +227,12 @@ def corrected_mjcf(old: Robot, new: Robot, rename: Callable[[Path], str]) -> dic
         _tie(edits, document, tree, was, now)
         if now.rotor is not was.rotor:
             body = int(tree.jnt_bodyid[was.number])
-            inertial(body, now.rotor.in_frame(*view.pose(body)))
-    added = [hinge for hinge in new.hinges if hinge.spring is not None and hinge.spring.added]
-    if added:
-        add_springs(edits, elements, view, added)
+            weigh(body, now.rotor.in_frame(*view.pose(body)))
+    if new.added:
+        add_springs(edits, elements, view, new.added)
     for carried, owner in zip(old.bodies, new.bodies, strict=True):
         if carried.own is not owner.own:
-            inertial(owner.number, owner.own.in_frame(owner.attitude, owner.origin))
+            weigh(owner.number, owner.own.in_frame(owner.attitude, owner.origin))
     return edits.result(rename)
 
 

@@ -186,6 +186,11 @@ class Robot:
     """Of a base that floats; None where it is fixed."""
 
     @property
+    def added(self) -> tuple[Hinge, ...]:
+        """Those whose spring the file lacks."""
+        return tuple(one for one in self.hinges if one.spring is not None and one.spring.added)
+
+    @property
     def bodies(self) -> tuple[Owner, ...]:
         """Those that move: the base where it floats, then the segments behind the hinges."""
         return self.owners if self.base is None else (self.base, *self.owners)
